@@ -37,9 +37,8 @@ class LabelLikelihood:
         position_covariances: FloatArray | None = None,
     ) -> FloatArray:
         """Log likelihood of the label for views as in `ViewpointMixture.log_density`."""
-        value = np.log(self.probability) + self.mixture.log_density(
-            views, bearings, position_covariances
-        )
+        density = self.mixture.log_density(views, bearings, position_covariances)
+        value: FloatArray = np.log(self.probability) + density
         return np.logaddexp(value, np.log(self.clutter)) if self.clutter > 0.0 else value
 
 
@@ -65,7 +64,9 @@ class ClassModel:
         if not self.class_names:
             raise ModelError("the model has no classes")
         if self.log_priors.shape != (1 + len(self.class_names),):
-            raise ModelError(f"{len(self.class_names)} classes need one prior each and the background's")
+            raise ModelError(
+                f"{len(self.class_names)} classes need one prior each and the background's"
+            )
 
     @property
     def has_bearing(self) -> bool:

@@ -68,7 +68,9 @@ class ViewpointMixture:
         """
         terms = np.empty((len(self.weights), *views.shape[:-1]))
         for m, (mean, covariance) in enumerate(zip(self.means, self.covariances, strict=True)):
-            total = covariance if position_covariances is None else covariance + position_covariances
+            total = (
+                covariance if position_covariances is None else covariance + position_covariances
+            )
             terms[m] = np.log(self.weights[m]) + _log_gaussian_2d(views - mean, total)
             variance = self.bearing_variances[m]
             if np.isfinite(variance):
