@@ -1,0 +1,25 @@
+"""Fixtures shared by the tests of the mathematics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from models import lopsided_model
+
+from mclass.classes import ClassModel
+from mclass.footprint import Grid
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20240229)
+
+
+@pytest.fixture
+def small_grid() -> Grid:
+    return Grid(origin=(-1.0, -2.0), cell_size=0.25, rows=12, columns=16)
+
+
+@pytest.fixture
+def lopsided() -> ClassModel:
+    return lopsided_model()
