@@ -1,0 +1,1 @@
+"""Simulated drives past labelled objects: scenarios, the world they describe, logs of it."""
