@@ -1,0 +1,19 @@
+"""Results as words and documents: pure functions from values to text and JSON."""
+
+from mclass.text.cells import cell_text, history_text
+from mclass.text.documents import cell_json, estimate_json, object_json, objects_json
+from mclass.text.objects import objects_text
+from mclass.text.reports import estimate_text
+from mclass.text.terminal import Terminal
+
+__all__ = [
+    "Terminal",
+    "cell_json",
+    "cell_text",
+    "estimate_json",
+    "estimate_text",
+    "history_text",
+    "object_json",
+    "objects_json",
+    "objects_text",
+]

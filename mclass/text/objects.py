@@ -1,0 +1,127 @@
+"""Objects in the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from mclass.records import FloatArray
+from mclass.results import ObjectEstimate, OrientationMode
+from mclass.text.documents import BACKGROUND
+from mclass.text.terminal import Terminal, display_width, table, wrap
+from mclass.text.values import (
+    count_text,
+    list_text,
+    mode_text,
+    probability_text,
+    share_text,
+    spread_text,
+)
+
+_ID_COLUMNS = 12
+_LISTED_CLASSES = 5
+_LISTED_MODES = 4
+_NEGLIGIBLE = 0.001
+
+
+def objects_text(
+    objects: Iterable[ObjectEstimate],
+    class_names: Sequence[str],
+    frame: str,
+    terminal: Terminal,
+) -> str:
+    """Table of objects: class probabilities, position ± std, orientation modes.
+
+    The named class comes first in each object's lines; position and orientations are given
+    that class. Ties, and a background more probable than any class, are said below.
+
+    Args:
+        objects: Latest estimate of each object.
+        class_names: Without the background.
+        frame: World frame of the positions.
+        terminal: What the reader's terminal can show.
+    """
+    estimates = list(objects)
+    if not estimates:
+        return "No objects: no measurement that was used carries an object id."
+    names = [terminal.clean(name) for name in class_names]
+    rows: list[Sequence[str]] = []
+    for estimate in estimates:
+        name = terminal.clean(estimate.object_id)
+        # A long id keeps a line of its own, whole: people paste it into the next command.
+        if display_width(name) > _ID_COLUMNS:
+            rows.append([name])
+            name = ""
+        rows.append([name, *_object_cells(estimate, names, terminal)])
+    headings = ["id", "class", "P", "position [m]", "orientation [deg]", "n"]
+    lines = table(headings, rows, "<<><<>", terminal, elastic=(0, 1))
+    remarks = [
+        terminal.paint(line, "warning")
+        for estimate in estimates
+        for remark in _remarks(estimate, names, terminal)
+        for line in wrap(remark, terminal, "  ")
+    ]
+    title = f"{count_text(len(estimates), 'object')}, frame {terminal.clean(frame)}"
+    return "\n".join([title, "", *lines, *([""] if remarks else []), *remarks])
+
+
+def _object_cells(
+    estimate: ObjectEstimate, names: Sequence[str], terminal: Terminal
+) -> tuple[str, ...]:
+    """The cells of an object's row after its id."""
+    labels, values = _class_lines(
+        estimate.class_probabilities, estimate.class_index, estimate.tie, names
+    )
+    place = "\n".join(
+        f"{axis} {spread_text(value, std, 2, terminal)}"
+        for axis, value, std in zip("xy", estimate.position, estimate.position_std, strict=True)
+    )
+    modes = _mode_lines(estimate.modes, terminal)
+    return labels, values, place, modes, str(estimate.measurements)
+
+
+def _class_lines(
+    probabilities: FloatArray, named: int, tie: Sequence[int], names: Sequence[str]
+) -> tuple[str, str]:
+    """Names and probabilities: the named class, then the others; ``=`` marks those that tie."""
+    everything = (BACKGROUND, *names)
+    rest = [i for i in np.argsort(-probabilities, kind="stable") if i != named + 1]
+    listed = [named + 1, *rest[: _LISTED_CLASSES - 1]]
+    hidden = rest[_LISTED_CLASSES - 1 :]
+    tied = {index + 1 for index in tie}
+    labels = [("= " if i in tied else "") + everything[i] for i in listed]
+    values = [probability_text(probabilities[i]) for i in listed]
+    if hidden:
+        labels.append(f"+ {len(hidden)} more")
+        values.append(probability_text(float(probabilities[hidden].sum())))
+    return "\n".join(labels), "\n".join(values)
+
+
+def _mode_lines(modes: Sequence[OrientationMode], terminal: Terminal) -> str:
+    """One mode a line, heaviest first; those that hold next to nothing are counted."""
+    if not modes:
+        return "any (flat)"
+    shown = [mode for mode in modes[:_LISTED_MODES] if mode.mass >= _NEGLIGIBLE] or modes[:1]
+    lines = [mode_text(mode, terminal) for mode in shown]
+    hidden = modes[len(shown) :]
+    if hidden:
+        lines.append(f"+ {len(hidden)} more ({share_text(sum(mode.mass for mode in hidden))})")
+    return "\n".join(lines)
+
+
+def _remarks(estimate: ObjectEstimate, names: Sequence[str], terminal: Terminal) -> Iterable[str]:
+    """Sentences on what the named class does not tell."""
+    who = terminal.clean(estimate.object_id, 2 * _ID_COLUMNS)
+    if estimate.tie:
+        tied = list_text([names[index] for index in estimate.tie])
+        yield (
+            f"{who}: {tied} are equally probable (=), a tie; "
+            f"position and orientation are those given {names[estimate.class_index]}."
+        )
+    background = estimate.class_probabilities[0]
+    if background > estimate.class_probabilities[estimate.class_index + 1]:
+        yield (
+            f"{who}: {BACKGROUND} (nothing there), P {probability_text(background)}, "
+            "is more probable than any class."
+        )

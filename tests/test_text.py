@@ -1,0 +1,495 @@
+"""Texts and JSON documents of hand-made results, letter by letter."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lopsided_results import CLASS_NAMES, STAMP_NS, cell, estimate, mode
+
+from mclass.results import OrientationMode
+from mclass.text import (
+    Terminal,
+    cell_json,
+    cell_text,
+    estimate_json,
+    estimate_text,
+    history_text,
+    objects_json,
+    objects_text,
+)
+from mclass.text.terminal import display_width, table, wrap
+from mclass.text.values import (
+    degrees,
+    degrees_text,
+    probability_text,
+    seconds_text,
+    share_text,
+    stamp_text,
+)
+
+UNICODE = Terminal()
+ASCII = Terminal(unicode=False)
+
+
+class TestObjectsJson:
+    def test_one_object_in_full(self) -> None:
+        document = objects_json([estimate(class_index=0, tie=(0, 1))], CLASS_NAMES, "odom")
+        assert document["frame"] == "odom"
+        (entry,) = document["objects"]
+        approximate = {
+            "orientation_deg": entry.pop("orientation_deg"),
+            "modes": entry.pop("modes"),
+            "joint_map": entry.pop("joint_map"),
+            "class_poses": entry.pop("class_poses"),
+        }
+        assert entry == {
+            "id": "o1",
+            "class": "books",
+            "class_probabilities": {"background": 0.1506, "books": 0.849382, "parts": 1.8e-5},
+            "position": [4.0, -2.5],
+            "position_std": [0.05, 0.061],
+            "measurements": 12,
+            "stamp_ns": "1700000000123456789",
+            "labels": ["books"],
+            "tie": ["books", "parts"],
+        }
+        assert approximate["orientation_deg"] == pytest.approx(257.75)
+        first, second = approximate["modes"]
+        assert first == pytest.approx({"orientation_deg": 257.75, "mass": 0.75, "std_deg": 9.125})
+        assert second == pytest.approx({"orientation_deg": 77.5, "mass": 0.25, "std_deg": 12.0})
+        assert approximate["joint_map"]["class"] == "parts"
+        assert approximate["joint_map"]["position"] == [1.25, 7.5]
+        assert approximate["joint_map"]["orientation_deg"] == pytest.approx(30.0)
+        assert approximate["class_poses"]["books"]["position"] == [4.0, -2.5]
+        assert approximate["class_poses"]["parts"]["orientation_deg"] == pytest.approx(30.0)
+
+    def test_no_tie_no_key(self) -> None:
+        assert "tie" not in objects_json([estimate()], CLASS_NAMES, "odom")["objects"][0]
+
+    def test_history_belongs_to_its_object(self) -> None:
+        past = [estimate("o2", stamp_ns=5, measurements=1), estimate("o2", stamp_ns=9)]
+        document = objects_json([estimate("o1"), estimate("o2")], CLASS_NAMES, "odom", {"o2": past})
+        first, second = document["objects"]
+        assert first["history"] == []
+        assert [step["stamp_ns"] for step in second["history"]] == ["5", "9"]
+        assert second["history"][0]["labels"] == ["books"]
+        assert second["history"][0]["measurements"] == 1
+
+    def test_empty(self) -> None:
+        assert objects_json([], CLASS_NAMES, "map") == {"frame": "map", "objects": []}
+
+    def test_what_json_cannot_say_is_null(self) -> None:
+        lost = estimate(modes=(OrientationMode(1.0, 1.0, math.inf),), position_std=(math.nan, 1.0))
+        document = objects_json([lost], CLASS_NAMES, "odom")
+        text = json.dumps(document, allow_nan=False)
+        entry = json.loads(text)["objects"][0]
+        assert entry["modes"][0]["std_deg"] is None
+        assert entry["position_std"] == [None, 1.0]
+
+
+class TestCellJson:
+    def test_one_cell_in_full(self) -> None:
+        document = cell_json(cell(), CLASS_NAMES)
+        books = document["orientation"]["books"]
+        assert document["cell"] == {"row": 3, "column": 7, "center": [2.75, 3.75], "size": 0.5}
+        assert document["class_probabilities"] == {
+            "background": 0.125,
+            "books": 0.75,
+            "parts": 0.125,
+        }
+        assert books["bins_deg"] == [0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0]
+        assert books["density"] == cell().density[0].tolist()
+        assert books["modes"][0]["orientation_deg"] == pytest.approx(90.0)
+        assert document["orientation"]["parts"]["modes"] == []
+        assert document["measurements"] == 3
+        assert document["stamp_ns"] == str(STAMP_NS)
+        assert "history" not in document
+        json.dumps(document, allow_nan=False)
+
+    def test_history_is_oldest_first(self) -> None:
+        steps = [cell(stamp_ns=3, measurements=1, labels=("parts",)), cell(measurements=2)]
+        history = cell_json(cell(), CLASS_NAMES, steps)["history"]
+        assert [step["measurements"] for step in history] == [1, 2]
+        assert history[0]["labels"] == ["parts"]
+        assert history[0]["stamp_ns"] == "3"
+
+
+def test_estimate_json() -> None:
+    document = estimate_json(
+        input_path="a.mcap",
+        output_path="a.mclass.mcap",
+        model_name="mclass.yaml",
+        used=7,
+        skipped={"no pose": int(np.int64(2))},
+        objects=[estimate()],
+        class_names=CLASS_NAMES,
+        frame="odom",
+        damage=["the end is missing"],
+    )
+    assert document["input"] == "a.mcap"
+    assert document["output"] == "a.mclass.mcap"
+    assert document["model"] == "mclass.yaml"
+    assert document["measurements"] == {"used": 7, "skipped": {"no pose": 2}}
+    assert document["objects"] == objects_json([estimate()], CLASS_NAMES, "odom")["objects"]
+    assert document["damage"] == ["the end is missing"]
+    json.dumps(document, allow_nan=False)
+
+
+class TestObjectsText:
+    def test_two_objects(self) -> None:
+        known = estimate(
+            "o12",
+            probabilities=(0.0, 0.25, 0.75),
+            class_index=1,
+            position=(-12.0, 0.5),
+            position_std=(0.0, 0.0),
+            modes=(mode(3.0, 1.0, 4.5),),
+            measurements=3,
+        )
+        assert objects_text([estimate(), known], CLASS_NAMES, "odom", UNICODE).split("\n") == [
+            "2 objects, frame odom",
+            "",
+            "id   class             P  position [m]    orientation [deg]    n",
+            "o1   books        0.8494  x 4.00 ± 0.05   257.8 ± 9.1 (75 %)  12",
+            "     background   0.1506  y -2.50 ± 0.06  77.5 ± 12.0 (25 %)",
+            "     parts       1.8e-05",
+            "o12  parts        0.7500  x -12.00        3.0 ± 4.5 (100 %)    3",
+            "     books        0.2500  y 0.50",
+            "     background   0.0000",
+        ]
+
+    def test_tie_and_background_are_said(self) -> None:
+        tied = estimate(probabilities=(0.5, 0.25, 0.25), tie=(0, 1))
+        lines = objects_text([tied], CLASS_NAMES, "odom", ASCII).split("\n")
+        assert lines[3].startswith("o1  = books ")
+        assert lines[5].startswith("    = parts ")
+        assert lines[6:] == [
+            "",
+            "o1: books and parts are equally probable (=), a tie; position and orientation",
+            "  are those given books.",
+            "o1: background (nothing there), P 0.5000, is more probable than any class.",
+        ]
+
+    def test_no_tie_no_remark(self) -> None:
+        assert "=" not in objects_text([estimate()], CLASS_NAMES, "odom", UNICODE)
+
+    def test_no_objects(self) -> None:
+        assert objects_text([], CLASS_NAMES, "odom", UNICODE).startswith("No objects")
+
+    def test_a_long_id_is_shown_whole(self) -> None:
+        name = "a3f9c2e0-1111-4222-8333-abcdefabcdef"
+        lines = objects_text([estimate(name)], CLASS_NAMES, "odom", UNICODE).split("\n")
+        assert lines[3] == name
+        assert " ".join(lines[4].split()) == "books 0.8494 x 4.00 ± 0.05 257.8 ± 9.1 (75 %) 12"
+
+    def test_many_classes_and_modes_are_summed_up(self) -> None:
+        probabilities = (0.02, *([0.05] * 17), 0.13)
+        modes = tuple(mode(60.0 * k, 1 / 6, 5.0) for k in range(6))
+        crowded = estimate(probabilities=probabilities, class_index=17, modes=modes)
+        names = [f"class_{k}" for k in range(18)]
+        lines = objects_text([crowded], names, "odom", UNICODE).split("\n")
+        assert lines[3].split()[1:3] == ["class_17", "0.1300"]
+        assert lines[8].split() == ["+", "14", "more", "0.6700"]
+        assert lines[7].endswith("+ 2 more (33 %)")
+
+    def test_flat_orientation(self) -> None:
+        assert "any (flat)" in objects_text([estimate(modes=())], CLASS_NAMES, "odom", UNICODE)
+
+    def test_nothing_foreign_controls_the_terminal(self) -> None:
+        evil = "\x1b]0;owned\x07\r\n\u202e\ud800"
+        text = objects_text([estimate(evil)], (evil, "b"), evil, UNICODE)
+        assert not set(text) & set("\x1b\x07\r\u202e\ud800")
+        assert r"\x1b]0;owned\x07\r\n\u202e\ud800" in text
+        text.encode("utf-8")
+
+    def test_ascii_terminal_gets_ascii(self) -> None:
+        text = objects_text([estimate("größe")], ("книга", "本"), "odom", ASCII)
+        assert text.isascii()
+        assert "+/-" in text
+        assert r"gr\xf6\xdfe" in text
+
+    def test_color_only_when_asked(self) -> None:
+        colored = objects_text([estimate()], CLASS_NAMES, "odom", Terminal(color=True))
+        assert "\x1b[1m" in colored
+        plain = objects_text([estimate()], CLASS_NAMES, "odom", UNICODE)
+        assert colored.replace("\x1b[1m", "").replace("\x1b[0m", "") == plain
+
+
+class TestCellText:
+    def test_in_full(self) -> None:
+        lines = cell_text(cell(), CLASS_NAMES, "odom", Terminal()).split("\n")
+        assert lines[:9] == [
+            "row 3, column 7, center (2.75, 3.75) m in odom, size 0.5 m",
+            "3 measurements, the last at 2023-11-14T22:13:20.123Z: books, parts",
+            "",
+            "class            P",
+            "background  0.1250  █████",
+            "books       0.7500  ██████████████████████████████",
+            "parts       0.1250  █████",
+            "",
+            "orientation given books: peak 0.637 per rad at 90.0 deg",
+        ]
+        assert lines[-1] == "orientation given parts: flat, nothing is known"
+
+    def test_density_chart(self) -> None:
+        # Three columns a bin: the peak (90 deg) in column 6, half of it in columns 4 and 9.
+        lines = cell_text(cell(), CLASS_NAMES, "odom", Terminal(width=28)).split("\n")
+        ruler = lines.index("0     90    180   270   360")
+        assert lines[ruler - 4 : ruler] == [
+            "      █▃",
+            "     ███▅",
+            "    ██████▅▃",
+            " ▃▅██████████▅▃",
+        ]
+        assert lines[ruler + 1] == "modes [deg]: 90.0 ± 26.0"
+
+    def test_many_bins_keep_their_peak(self) -> None:
+        density = np.zeros((2, 720))
+        density[0, 719] = 720 / (2 * np.pi)
+        report = cell(density=density, modes=((mode(359.5, 1.0, 0.1),), ()))
+        lines = cell_text(report, CLASS_NAMES, "odom", UNICODE).split("\n")
+        ruler = next(i for i, line in enumerate(lines) if line.startswith("0  "))
+        # 359.5 degrees is nearer to the column of 360, which is that of 0, than to that of 355.
+        assert lines[ruler - 4 : ruler] == ["█"] * 4
+
+    def test_untouched(self) -> None:
+        text = cell_text(cell(measurements=0, labels=()), CLASS_NAMES, "odom", UNICODE)
+        assert "no measurement: this is the prior" in text
+
+    def test_object_belief_names_its_object(self) -> None:
+        text = cell_text(cell(), CLASS_NAMES, "odom", UNICODE, object_id="o\n7")
+        assert text.startswith("object o\\n7, row 3, column 7")
+
+    def test_tie_is_said(self) -> None:
+        tied = cell(probabilities=(0.2, 0.4000001, 0.3999999))
+        text = cell_text(tied, CLASS_NAMES, "odom", UNICODE)
+        assert "books and parts are equally probable, a tie." in text
+        near = cell(probabilities=(0.2, 0.40001, 0.39999))
+        assert "tie" not in cell_text(near, CLASS_NAMES, "odom", UNICODE)
+
+    def test_many_classes_are_summed_up(self) -> None:
+        count = 30
+        probabilities = np.linspace(1.0, 2.0, count + 1)
+        report = cell(
+            density=np.full((count, 8), 0.5 / np.pi),
+            probabilities=tuple(probabilities / probabilities.sum()),
+            modes=((),) * count,
+        )
+        text = cell_text(report, [f"class_{k}" for k in range(count)], "odom", UNICODE)
+        assert "+ 18 more" in text
+        assert "26 less probable classes not drawn" in text
+        assert "orientation given class_29: flat" in text
+
+    def test_ascii_terminal_gets_ascii(self) -> None:
+        assert cell_text(cell(), CLASS_NAMES, "odom", ASCII).isascii()
+
+
+class TestHistoryText:
+    def test_an_object(self) -> None:
+        steps = [
+            estimate(
+                probabilities=(0.4231, 0.4244, 0.1525),
+                measurements=1,
+                modes=(mode(56.3, 0.5, 9), mode(236.3, 0.5, 9)),
+            ),
+            estimate(
+                measurements=2,
+                labels=("books", "parts"),
+                stamp_ns=STAMP_NS + 1_500_000_000,
+                modes=(mode(45.0, 1.0, 9),),
+            ),
+        ]
+        assert history_text(steps, CLASS_NAMES, UNICODE).split("\n") == [
+            "t = 0 at 2023-11-14T22:13:20.123Z",
+            "",
+            "n  t [s]  labels        background   books    parts  orientation [deg]",
+            "1  0.000  books             0.4231  0.4244   0.1525  56.3 (50 %), 236.3 (50 %)",
+            "2  1.500  books, parts      0.1506  0.8494  1.8e-05  45.0 (100 %)",
+        ]
+
+    def test_a_cell_shows_its_most_probable_class(self) -> None:
+        steps = [cell(probabilities=(0.1, 0.2, 0.7), modes=((mode(5, 1, 1),), (mode(7, 1, 1),)))]
+        last = history_text(steps, CLASS_NAMES, UNICODE).split("\n")[-1]
+        assert " ".join(last.split()) == "3 0.000 books, parts 0.1000 0.7000 0.2000 7.0 (100 %)"
+
+    def test_classes_that_do_not_fit_are_counted(self) -> None:
+        names = [f"class_{k}" for k in range(5)]
+        steps = [estimate(probabilities=(0.1, 0.1, 0.1, 0.1, 0.5, 0.1), class_index=3)]
+        lines = history_text(steps, names, UNICODE).split("\n")
+        assert "class_3" in lines[2]
+        assert lines[-1] == "3 of 5 classes not shown"
+
+    def test_empty(self) -> None:
+        assert history_text([], CLASS_NAMES, UNICODE).startswith("No history")
+
+
+def test_estimate_text() -> None:
+    text = estimate_text(
+        input_path="run\x1b.mcap",
+        output_path="run.mclass.mcap",
+        model_name="mclass.yaml",
+        used=412,
+        skipped={"score below 0.5": 9, "no pose near": 123},
+        objects=[estimate()],
+        class_names=CLASS_NAMES,
+        frame="odom",
+        damage=["the file ends early"],
+        notes=["odometry from /odom"],
+        terminal=UNICODE,
+    )
+    assert text.split("\n\n")[0].split("\n") == [
+        r"input         run\x1b.mcap",
+        "output        run.mclass.mcap",
+        "model         mclass.yaml",
+        "measurements  412 used, 132 skipped",
+        "              123  no pose near",
+        "                9  score below 0.5",
+        "note          odometry from /odom",
+        "damaged       the file ends early",
+    ]
+    assert text.endswith(objects_text([estimate()], CLASS_NAMES, "odom", UNICODE))
+
+
+@given(
+    name=st.text(max_size=300),
+    label=st.text(max_size=300),
+    unicode=st.booleans(),
+    width=st.integers(70, 120),
+)
+def test_text_keeps_to_the_width(name: str, label: str, unicode: bool, width: int) -> None:
+    terminal = Terminal(width=width, unicode=unicode)
+    names = (label, "parts")
+    tied = estimate(name, probabilities=(0.5, 0.25, 0.25), tie=(0, 1), labels=(label,))
+    texts = [
+        objects_text([tied], names, "odom", terminal),
+        cell_text(cell(labels=(label, name)), names, "odom", terminal),
+    ]
+    for line in "\n".join(texts).split("\n"):
+        # A single word longer than the terminal is shortened, not wrapped.
+        assert display_width(line) <= width or " " not in line.strip()
+        assert unicode or line.isascii()
+        assert line.isprintable()
+
+
+class TestTerminal:
+    @pytest.mark.parametrize(
+        ("text", "unicode", "expected"),
+        [
+            ("plain text", True, "plain text"),
+            ("", True, '""'),
+            ("a\tb\x00\x7f\x9b", True, r"a\tb\x00\x7f\x9b"),
+            ("back\\slash", True, r"back\\slash"),
+            ("größe 本", True, "größe 本"),
+            ("größe 本", False, r"gr\xf6\xdfe \u672c"),
+            ("line\u2028sep", True, r"line\u2028sep"),
+        ],
+    )
+    def test_clean(self, text: str, unicode: bool, expected: str) -> None:
+        assert Terminal(unicode=unicode).clean(text) == expected
+
+    def test_a_megabyte_is_shortened(self) -> None:
+        text = Terminal().clean("head" + "\x00" * 10**6 + "tail", 40)
+        assert text.startswith(r"head\x00\x00")
+        assert text.endswith(r"\x00tail")
+        assert display_width(text) == 40
+
+    def test_shorten_counts_columns_not_characters(self) -> None:
+        assert Terminal().shorten("本" * 10, 20) == "本" * 10
+        assert Terminal().shorten("本" * 10, 11) == "本本本本…本"
+        assert Terminal(unicode=False).shorten("abcdefghijklm", 10) == "abcde...lm"
+
+    def test_display_width(self) -> None:
+        assert display_width("e\u0301") == 1
+        assert display_width("本a") == 3
+
+    def test_profile_fills_from_below(self) -> None:
+        values = np.array([0.0, 0.25, 1.0, 0.5, 0.0])
+        assert Terminal().profile(values, 2) == ["  █", " ▄██"]
+        assert Terminal(unicode=False).profile(values, 1) == [" :@="]
+        assert Terminal().profile(np.zeros(3), 2) == ["", ""]
+
+    @pytest.mark.parametrize(
+        ("encoding", "is_terminal", "variables", "unicode", "color"),
+        [
+            ("utf-8", True, {}, True, True),
+            ("UTF-8", True, {"NO_COLOR": "1"}, True, False),
+            ("utf-8", True, {"NO_COLOR": ""}, True, True),
+            ("utf-8", True, {"TERM": "dumb"}, True, False),
+            ("utf-8", False, {}, True, False),
+            ("iso-8859-1", True, {}, False, True),
+            ("ascii", False, {}, False, False),
+        ],
+    )
+    def test_of_a_stream(
+        self,
+        encoding: str,
+        is_terminal: bool,
+        variables: dict[str, str],
+        unicode: bool,
+        color: bool,
+    ) -> None:
+        class Stream(io.TextIOWrapper):
+            def isatty(self) -> bool:
+                return is_terminal
+
+        terminal = Terminal.of(Stream(io.BytesIO(), encoding=encoding), variables)
+        assert (terminal.unicode, terminal.color) == (unicode, color)
+        assert is_terminal or terminal.width == 80
+
+    def test_of_a_stream_without_encoding(self) -> None:
+        assert Terminal.of(io.StringIO(), {}) == Terminal(unicode=False)
+
+
+class TestLayout:
+    def test_numbers_are_never_cut(self) -> None:
+        lines = table(["a", "b"], [["x" * 50, "1" * 38]], "<>", Terminal(width=60), elastic=(0,))
+        assert lines[1] == "x" * 13 + "…" + "x" * 6 + "  " + "1" * 38
+        wide = table(["a", "b"], [["x" * 50, "1" * 70]], "<>", Terminal(width=60), elastic=(0,))
+        assert wide[1].endswith("  " + "1" * 70)
+
+    def test_cells_of_several_lines_and_spanning_rows(self) -> None:
+        lines = table(["a", "bb"], [["all of it"], ["1\n2\n3", "x"]], ">>", Terminal())
+        assert lines == ["a  bb", "all of it", "1   x", "2", "3"]
+
+    def test_wrap_keeps_inner_and_leading_space(self) -> None:
+        lines = wrap("  key   one two three", Terminal(width=14), " " * 8)
+        assert lines == ["  key   one", "        two", "        three"]
+
+
+class TestValues:
+    @pytest.mark.parametrize(
+        ("angle", "expected"), [(-1e-20, 0.0), (2 * math.pi, 0.0), (-math.pi / 2, 270.0)]
+    )
+    def test_degrees_stay_below_360(self, angle: float, expected: float) -> None:
+        assert degrees(angle) == expected
+
+    def test_rounding_does_not_reach_360(self) -> None:
+        assert degrees_text(math.radians(359.97)) == "0.0"
+        assert degrees_text(math.radians(359.94)) == "359.9"
+
+    @pytest.mark.parametrize(
+        ("value", "expected"),
+        [(0.0, "0.0000"), (1.0, "1.0000"), (0.00005, "0.0001"), (1.8e-5, "1.8e-05")],
+    )
+    def test_probability(self, value: float, expected: str) -> None:
+        assert probability_text(value) == expected
+
+    @pytest.mark.parametrize(
+        ("value", "expected"),
+        [(0.0, "0 %"), (0.004, "<1 %"), (0.996, ">99 %"), (1.0, "100 %"), (0.5, "50 %")],
+    )
+    def test_share(self, value: float, expected: str) -> None:
+        assert share_text(value) == expected
+
+    def test_stamps(self) -> None:
+        assert stamp_text(STAMP_NS) == "2023-11-14T22:13:20.123Z"
+        assert stamp_text(12_345_000_000) == "12.345 s"
+        assert stamp_text(2**63 - 1) == "2262-04-11T23:47:16.854Z"
+        assert seconds_text(-1_500_000) == "-0.002"
+        assert seconds_text(10**18 + 1) == "1000000000.000"
