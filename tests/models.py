@@ -15,7 +15,7 @@ from mclass.viewpoints import ViewpointMixture
 def mixture_of(
     weights: Sequence[float],
     means: Sequence[Sequence[float]],
-    covariances: Sequence[Sequence[Sequence[float]]],
+    covariances: Sequence[Sequence[Sequence[float]] | FloatArray],
     bearings: Sequence[tuple[float, float] | None] | None = None,
 ) -> ViewpointMixture:
     """A mixture from lists; a bearing is (mean, variance) or None."""
