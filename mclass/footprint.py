@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mclass.records import FloatArray, IntArray
+from mclass.geometry import wrap_angle
+from mclass.records import BoolArray, FloatArray, IntArray
+
+_NO_WIDTH = 1e-9
+"""Boxes that open less than this [rad] are rays."""
+
+_TILE = 16
+"""Cells along the edge of a tile."""
 
 
 @dataclass(frozen=True)
@@ -38,3 +46,207 @@ class Grid:
         row = int(np.floor((y - self.origin[1]) / self.cell_size))
         inside = 0 <= row < self.rows and 0 <= column < self.columns
         return row * self.columns + column if inside else None
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """Where detections point from, one row each.
+
+    Attributes:
+        positions: Sensor positions in the world [m], (n, 2).
+        headings: Sensor headings in the world [rad], (n,).
+        directions: World azimuths of the box's right and left edge [rad], (n, 2); NaN for none.
+        min_range: Nearest distance that is updated [m].
+        max_range: Farthest [m].
+        rays: Treat every box as a ray through its middle.
+    """
+
+    positions: FloatArray
+    headings: FloatArray
+    directions: FloatArray
+    min_range: float
+    max_range: float
+    rays: bool = False
+
+    @property
+    def widths(self) -> FloatArray:
+        """Opening angles of the boxes [rad], (n,), 0 for a ray."""
+        if self.rays:
+            return np.where(np.isfinite(self.directions[:, 0]), 0.0, np.nan)
+        widths = np.remainder(self.directions[:, 1] - self.directions[:, 0], 2.0 * np.pi)
+        # An opening of a full turn less rounding is a box without width.
+        return np.where(widths > 2.0 * np.pi - _NO_WIDTH, 0.0, widths)
+
+    @property
+    def axes(self) -> FloatArray:
+        """Middle directions of the boxes [rad], (n,)."""
+        opening = np.remainder(self.directions[:, 1] - self.directions[:, 0], 2.0 * np.pi)
+        opening = np.where(opening > 2.0 * np.pi - _NO_WIDTH, 0.0, opening)
+        return np.asarray(self.directions[:, 0] + opening / 2.0)
+
+    def select(self, rows: IntArray) -> Pointing:
+        """Only the given rows."""
+        return replace(
+            self,
+            positions=self.positions[rows],
+            headings=self.headings[rows],
+            directions=self.directions[rows],
+        )
+
+
+def covering_grid(pointing: Pointing, cell_size: float) -> Grid | None:
+    """The smallest grid on multiples of the cell size that holds every footprint.
+
+    Returns:
+        The grid, or None when no detection points anywhere.
+    """
+    used = np.isfinite(pointing.directions).all(axis=1)
+    if not used.any():
+        return None
+    low, high = _bounding_boxes(pointing.select(np.flatnonzero(used)))
+    first = np.floor(low.min(axis=0) / cell_size).astype(int)
+    last = np.ceil(high.max(axis=0) / cell_size).astype(int)
+    columns, rows = np.maximum(last - first, 1)
+    origin = (float(first[0] * cell_size), float(first[1] * cell_size))
+    return Grid(origin, cell_size, int(rows), int(columns))
+
+
+def _bounding_boxes(pointing: Pointing) -> tuple[FloatArray, FloatArray]:
+    """Lower-left and upper-right corners of the footprints, (n, 2) each."""
+    axes, half = pointing.axes, pointing.widths / 2.0
+    # The extreme points of a sector are its corners and where its arc crosses an axis direction.
+    angles = np.concatenate(
+        [axes + half, axes - half, *(np.full(len(axes), k * np.pi / 2.0) for k in range(4))]
+    ).reshape(6, -1)
+    reached: BoolArray = np.abs(wrap_angle(angles - axes)) <= half + 1e-12
+    arc = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    near, far = arc * pointing.min_range, arc * pointing.max_range
+    points = np.concatenate([near, far])
+    valid: BoolArray = np.concatenate([reached, reached])[:, :, None]
+    low = np.where(valid, points, np.inf).min(axis=0) + pointing.positions
+    high = np.where(valid, points, -np.inf).max(axis=0) + pointing.positions
+    return low, high
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A square of cells and the detections that may point at it.
+
+    Attributes:
+        cells: Flat cell indices, (m,).
+        rows: Detections, increasing, (k,).
+    """
+
+    cells: IntArray
+    rows: IntArray
+
+
+def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
+    """The grid's touched tiles, each with its candidate detections.
+
+    Work in a tile is dense, its evidence fits the cache, and what no footprint comes near
+    is never visited.
+    """
+    usable = np.flatnonzero(np.isfinite(pointing.directions).all(axis=1))
+    if len(usable) == 0:
+        return
+    low, high = _bounding_boxes(pointing.select(usable))
+    size = grid.cell_size * _TILE
+    across = -(-grid.columns // _TILE)
+    upward = -(-grid.rows // _TILE)
+    limits = np.array([across, upward]) - 1
+    first = np.floor((low - grid.origin) / size).astype(np.int64)
+    last = np.floor((high - grid.origin) / size).astype(np.int64)
+    outside = ((last < 0) | (first > limits)).any(axis=1)
+    first, last = np.clip(first, 0, limits), np.clip(last, 0, limits)
+    spans = np.where(outside[:, None], 0, last - first + 1)
+    counts = spans[:, 0] * spans[:, 1]
+    owner = np.repeat(np.arange(len(usable)), counts)
+    within = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    tile_x = first[owner, 0] + within % np.maximum(spans[owner, 0], 1)
+    tile_y = first[owner, 1] + within // np.maximum(spans[owner, 0], 1)
+    centers = np.asarray(grid.origin) + (np.stack([tile_x, tile_y], axis=-1) + 0.5) * size
+    rows = usable[owner]
+    near = _near_sector(pointing, rows, centers, size * np.sqrt(0.5))
+    keys = (tile_y * across + tile_x)[near]
+    rows = rows[near]
+    order = np.argsort(keys, kind="stable")
+    keys, rows = keys[order], rows[order]
+    starts = np.flatnonzero(np.diff(keys, prepend=-1))
+    for start, stop in zip(starts, [*starts[1:], len(keys)], strict=True):
+        upper, left = divmod(int(keys[start]), across)
+        row = np.arange(upper * _TILE, min((upper + 1) * _TILE, grid.rows))
+        column = np.arange(left * _TILE, min((left + 1) * _TILE, grid.columns))
+        cells = (row[:, None] * grid.columns + column[None, :]).ravel()
+        yield Tile(cells, rows[start:stop])
+
+
+def _near_sector(
+    pointing: Pointing, rows: IntArray, centers: FloatArray, radius: float
+) -> BoolArray:
+    """Whether a disc around each centre may meet the sector of its detection; never misses one."""
+    offset = centers - pointing.positions[rows]
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    angle = np.abs(wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - pointing.axes[rows]))
+    slack = np.arcsin(np.minimum(radius / np.maximum(distance, radius), 1.0))
+    in_angle = (angle <= pointing.widths[rows] / 2.0 + slack + 1e-9) | (distance <= radius)
+    in_range = (distance >= pointing.min_range - radius) & (distance <= pointing.max_range + radius)
+    return np.asarray(in_angle & in_range)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Cells seen from sensors, (m, k) each: cell i, detection j.
+
+    Attributes:
+        ranges: Distance [m].
+        directions: World direction of the sensor seen from the cell [rad].
+        inside: Whether the footprint holds the cell.
+    """
+
+    ranges: FloatArray
+    directions: FloatArray
+    inside: BoolArray
+
+
+def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
+    """Range, direction and footprint test of every cell for every detection.
+
+    A cone holds a cell whose centre lies between its edges and within the range, both ends
+    included; a ray holds the cells that its segment meets.
+
+    Args:
+        centers: Cell centres [m], (m, 2).
+        cell_size: Edge length [m].
+        pointing: The detections, (k,).
+    """
+    offset_x = centers[:, None, 0] - pointing.positions[None, :, 0]
+    offset_y = centers[:, None, 1] - pointing.positions[None, :, 1]
+    ranges = np.hypot(offset_x, offset_y)
+    azimuths = np.arctan2(offset_y, offset_x)
+    widths = pointing.widths
+    with np.errstate(invalid="ignore"):
+        inside = np.remainder(azimuths - pointing.directions[:, 0], 2.0 * np.pi) <= widths
+    inside &= (ranges >= pointing.min_range) & (ranges <= pointing.max_range)
+    is_ray = np.flatnonzero(widths < _NO_WIDTH)
+    if len(is_ray):
+        axes = pointing.axes[is_ray]
+        inside[:, is_ray] = _segment_meets_square(
+            offset_x[:, is_ray], offset_y[:, is_ray], axes, cell_size / 2.0, pointing
+        )
+    return Sight(ranges, wrap_angle(azimuths + np.pi), inside)
+
+
+def _segment_meets_square(
+    offset_x: FloatArray, offset_y: FloatArray, axes: FloatArray, half: float, pointing: Pointing
+) -> BoolArray:
+    """Whether the segment from min to max range meets the square, its border included."""
+    enter = np.full(offset_x.shape, pointing.min_range)
+    leave = np.full(offset_x.shape, pointing.max_range)
+    for offset, slope in ((offset_x, np.cos(axes)), (offset_y, np.sin(axes))):
+        # A slope of 0 gives entry and exit at plus or minus infinity, as it should.
+        safe = np.where(np.abs(slope) < 1e-300, 1e-300, slope)
+        one, other = (offset - half) / safe, (offset + half) / safe
+        np.maximum(enter, np.minimum(one, other), out=enter)
+        np.minimum(leave, np.maximum(one, other), out=leave)
+    return np.asarray(enter <= leave)

@@ -16,7 +16,7 @@ from mclass.records import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class OrientationMode:
-    """One peak of an orientation density: place [rad, 0..2 pi), mass within its class, std [rad]."""
+    """A peak of an orientation density: place [rad, 0..2 pi), mass within its class, std [rad]."""
 
     orientation: float
     mass: float

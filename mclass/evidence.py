@@ -1,0 +1,201 @@
+"""Measurements to evidence: sums of log likelihoods for many cells at once.
+
+Cells are rows; each row owns a run of (cell, measurement) pairs. Two ways lead from pairs to
+sums: tables (S @ D, fast, for grids) and direct evaluation (exact, for known positions and
+for models whose viewpoints have a bearing term). Both add the same terms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from mclass.footprint import Pointing
+from mclass.observation import Term
+from mclass.records import BoolArray, FloatArray, IntArray
+from mclass.table import LikelihoodTable, build_table
+
+_DENSE_SHARE = 0.1
+"""Above this filling a matrix product is faster dense than sparse."""
+
+_PAIRS_AT_ONCE = 2**13
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Cells with the measurements that concern them.
+
+    Attributes:
+        starts: Row ``i`` owns pairs ``starts[i]:starts[i + 1]``, (rows + 1,).
+        measurements: Index of the measurement of each pair, (p,).
+        ranges: Distance of sensor and cell [m], (p,).
+        directions: World direction of the sensor seen from the cell [rad], (p,).
+        scale: Weight of each pair's log likelihood, (p,), or None for one each.
+    """
+
+    starts: IntArray
+    measurements: IntArray
+    ranges: FloatArray
+    directions: FloatArray
+    scale: FloatArray | None = None
+
+    def select(self, mask: BoolArray) -> Pairs:
+        """Only the pairs in the mask, over the same rows."""
+        kept = np.flatnonzero(mask)
+        return Pairs(
+            starts=np.searchsorted(kept, self.starts),
+            measurements=self.measurements[kept],
+            ranges=self.ranges[kept],
+            directions=self.directions[kept],
+            scale=None if self.scale is None else self.scale[kept],
+        )
+
+    @property
+    def counts(self) -> IntArray:
+        """Pairs in each row, (rows,)."""
+        return np.diff(self.starts)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Summed log likelihoods of cells, prior not included.
+
+    Attributes:
+        classes: Given class and orientation; orientation bin b is centred at
+            2 pi b / bins, (rows, n, bins).
+        background: Given the background, (rows,).
+        measurements: How many measurements were summed, (rows,).
+    """
+
+    classes: FloatArray
+    background: FloatArray
+    measurements: IntArray
+
+    def __add__(self, other: Evidence) -> Evidence:
+        """Evidence of both sets of measurements, row by row."""
+        return Evidence(
+            self.classes + other.classes,
+            self.background + other.background,
+            self.measurements + other.measurements,
+        )
+
+    def select(self, rows: IntArray) -> Evidence:
+        """Only the given rows."""
+        return Evidence(self.classes[rows], self.background[rows], self.measurements[rows])
+
+
+@dataclass
+class Engine:
+    """Sums evidence for one model and one set of measurements.
+
+    Attributes:
+        terms: The observation model, one term a label.
+        n_classes: Without the background.
+        bins: Orientation bins.
+        pointing: Where the measurements were taken from.
+        has_label: Whether a measurement returned a label, (measurements, labels).
+    """
+
+    terms: tuple[Term, ...]
+    n_classes: int
+    bins: int
+    pointing: Pointing
+    has_label: BoolArray
+    _tables: dict[tuple[int, int], LikelihoodTable] = field(default_factory=dict)
+
+    def evidence(self, pairs: Pairs) -> Evidence:
+        """Sum the log likelihoods of all pairs, from tables where the model allows it."""
+        return self._sum(pairs, exact=False)
+
+    def exact_evidence(self, pairs: Pairs) -> Evidence:
+        """Sum the log likelihoods of all pairs, each evaluated directly in float64."""
+        return self._sum(pairs, exact=True)
+
+    def _sum(self, pairs: Pairs, *, exact: bool) -> Evidence:
+        rows = len(pairs.starts) - 1
+        classes = np.zeros((rows, self.n_classes, self.bins))
+        background = np.zeros(rows)
+        present = np.flatnonzero(self.has_label[np.unique(pairs.measurements)].any(axis=0))
+        for label in present:
+            term = self.terms[label]
+            chosen = pairs.select(self.has_label[pairs.measurements, label])
+            counts = chosen.counts
+            background += _row_weights(chosen) * term.background
+            impossible = np.ones(self.n_classes, dtype=bool)
+            impossible[term.classes] = False
+            classes[np.ix_(counts > 0, impossible)] = -np.inf
+            if len(term.classes):
+                direct = exact or term.has_bearing
+                part = self._direct(term, chosen) if direct else self._tabulated(term, chosen)
+                classes[:, term.classes] += part
+        return Evidence(classes, background, pairs.counts)
+
+    def _direct(self, term: Term, pairs: Pairs) -> FloatArray:
+        """Evaluate a term for every pair and bin and sum over rows, (rows, k, bins)."""
+        rows = len(pairs.starts) - 1
+        total = np.zeros((rows, len(term.classes), self.bins))
+        orientations = 2.0 * np.pi * np.arange(self.bins) / self.bins
+        owners = np.repeat(np.arange(rows), pairs.counts)
+        for start in range(0, len(owners), _PAIRS_AT_ONCE):
+            part = slice(start, start + _PAIRS_AT_ONCE)
+            aspects = pairs.directions[part, None] - orientations
+            views = np.stack([np.cos(aspects), np.sin(aspects)], axis=-1)
+            views *= pairs.ranges[part, None, None]
+            headings = self.pointing.headings[pairs.measurements[part]]
+            bearings = np.broadcast_to(
+                (pairs.directions[part] + np.pi - headings)[:, None], aspects.shape
+            )
+            values = term.log_likelihood(views, bearings).transpose(1, 0, 2)
+            if pairs.scale is not None:
+                values = values * pairs.scale[part, None, None]
+            first = np.flatnonzero(np.diff(owners[part], prepend=-1))
+            if len(first):
+                total[owners[part][first]] += np.add.reduceat(values, first, axis=0)
+        return total
+
+    def _tabulated(self, term: Term, pairs: Pairs) -> FloatArray:
+        """Sum a term over rows as S @ D, (rows, k, bins)."""
+        rows = len(pairs.starts) - 1
+        shape = (rows, len(term.classes), self.bins)
+        if len(pairs.ranges) == 0:
+            return np.zeros(shape)
+        table = self._table(term, float(pairs.ranges.min()), float(pairs.ranges.max()))
+        weights = table.weights(pairs.starts, pairs.ranges, pairs.directions, pairs.scale)
+        return _product(weights, table.values).reshape(shape)
+
+    def _table(self, term: Term, nearest: float, farthest: float) -> LikelihoodTable:
+        """A table for the range limits, or a wider one where a footprint does not limit."""
+        low = min(self.pointing.min_range, nearest)
+        # Whole powers of two beyond the limit, so that few tables serve all distances.
+        level = max(0, int(np.ceil(np.log2(max(farthest / self.pointing.max_range, 1.0)))))
+        near = low < self.pointing.min_range
+        key = (term.label, 2 * level + near)
+        if key not in self._tables:
+            limit = self.pointing.max_range * 2.0**level
+            start = 0.0 if near else self.pointing.min_range
+            self._tables[key] = build_table(term, self.bins, start, limit)
+        return self._tables[key]
+
+
+def _row_weights(pairs: Pairs) -> FloatArray:
+    """Sum of the weights of the pairs in each row, (rows,)."""
+    if pairs.scale is None:
+        return pairs.counts.astype(float)
+    sums = np.concatenate([[0.0], np.cumsum(pairs.scale)])
+    return np.asarray(sums[pairs.starts[1:]] - sums[pairs.starts[:-1]])
+
+
+def _product(weights: csr_array, values: FloatArray) -> FloatArray:
+    """``weights @ values``, dense over the columns in use where that is faster."""
+    used = np.flatnonzero(np.bincount(weights.indices, minlength=weights.shape[1]))
+    if weights.nnz < _DENSE_SHARE * weights.shape[0] * len(used):
+        return np.asarray(weights @ values)
+    position = np.zeros(weights.shape[1], dtype=np.int32)
+    position[used] = np.arange(len(used), dtype=np.int32)
+    compact = csr_array(
+        (weights.data, position[weights.indices], weights.indptr),
+        shape=(weights.shape[0], len(used)),
+    )
+    return np.asarray(compact.toarray() @ values[used])
