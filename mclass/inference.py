@@ -1,0 +1,225 @@
+"""From measurements and a model to beliefs: the whole estimate without any file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mclass.evidence import Engine
+from mclass.footprint import Grid, Pointing, covering_grid
+from mclass.gridmap import grid_beliefs
+from mclass.model import Model
+from mclass.objects import ObjectFilter, known_position, pointed_cells
+from mclass.observation import paper_terms
+from mclass.records import BoolArray, FloatArray, IntArray, LabelMeasurements
+from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
+from mclass.summary import summarise
+
+UNEXPLAINED = "labels that no class returns together"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Measurements ready for inference.
+
+    Attributes:
+        model: The whole model file.
+        measurements: All that was read, explainable or not.
+        used: Rows of ``measurements`` that some class can explain, (k,).
+        engine: Sums evidence; indexes all rows of ``measurements``.
+        grid: The cells, or None when no measurement points anywhere.
+    """
+
+    model: Model
+    measurements: LabelMeasurements
+    used: IntArray
+    engine: Engine
+    grid: Grid | None
+
+
+def prepare(model: Model, measurements: LabelMeasurements) -> Problem:
+    """Set up inference; a label set that no class can return takes part in nothing."""
+    has_label = _label_matrix(measurements)
+    used = np.flatnonzero(_explainable(model, has_label))
+    settings = model.grid
+    poses = measurements.frames.poses_world_sensor[measurements.frame_index]
+    directions = measurements.directions.copy()
+    directions[np.setdiff1d(np.arange(len(measurements)), used)] = np.nan
+    pointing = Pointing(
+        positions=poses[:, :2],
+        headings=poses[:, 2],
+        directions=directions,
+        min_range=settings.min_range,
+        max_range=settings.max_range,
+        rays=settings.footprint == "ray",
+    )
+    engine = Engine(
+        terms=paper_terms(model.classes),
+        n_classes=len(model.classes.class_names),
+        bins=settings.orientation_bins,
+        pointing=pointing,
+        has_label=has_label,
+    )
+    return Problem(model, measurements, used, engine, _grid(model, pointing))
+
+
+def _label_matrix(measurements: LabelMeasurements) -> BoolArray:
+    """Whether each measurement returned each label, (n, labels)."""
+    matrix = np.zeros((len(measurements), len(measurements.label_names)), dtype=bool)
+    owners = np.repeat(np.arange(len(measurements)), np.diff(measurements.label_offsets))
+    matrix[owners, measurements.labels] = True
+    return matrix
+
+
+def _explainable(model: Model, has_label: BoolArray) -> BoolArray:
+    """Whether at least one class can return every label of a measurement, (n,)."""
+    cannot = np.ones((len(model.classes.class_names), has_label.shape[1]), dtype=bool)
+    for class_index, label in model.classes.likelihoods:
+        cannot[class_index, label] = False
+    return np.asarray((has_label @ cannot.T.astype(np.int64) == 0).any(axis=1))
+
+
+def _grid(model: Model, pointing: Pointing) -> Grid | None:
+    """The grid that the model names, or one that covers every footprint."""
+    settings = model.grid
+    if settings.origin is None or settings.size is None:
+        return covering_grid(pointing, settings.cell_size)
+    columns, rows = (max(1, round(length / settings.cell_size)) for length in settings.size)
+    return Grid(settings.origin, settings.cell_size, rows, columns)
+
+
+def estimate_objects(problem: Problem) -> tuple[list[ObjectEstimate], list[BeliefBlock]]:
+    """Follow every object with an id through its measurements.
+
+    Returns:
+        An estimate after every update, in the order of the measurements; and each object's
+        full belief at the end. An object that no measurement points at, and whose position
+        is not known, has neither.
+    """
+    measurements, model = problem.measurements, problem.model
+    updates: list[tuple[int, ObjectEstimate]] = []
+    beliefs: list[BeliefBlock] = []
+    owner = measurements.object_index[problem.used]
+    for index, object_id in enumerate(measurements.object_ids):
+        rows = problem.used[owner == index]
+        position = model.objects.get(object_id)
+        if position is not None:
+            candidates = known_position(position, model.grid.cell_size)
+        elif problem.grid is not None:
+            found = pointed_cells(problem.grid, problem.engine, rows)
+            if found is None:
+                continue
+            candidates = found
+            rows = rows[np.isfinite(problem.engine.pointing.directions[rows]).all(axis=1)]
+        else:
+            continue
+        if len(rows) == 0:
+            continue
+        tracker = ObjectFilter(
+            problem.engine,
+            candidates,
+            model.classes.log_priors,
+            model.inference.outside_probability,
+        )
+        stamps, log_times = measurements.stamps_ns[rows], measurements.log_times_ns[rows]
+        for step, (row, stamp, log_time) in zip(
+            tracker.steps(rows), zip(rows, stamps, log_times, strict=True), strict=True
+        ):
+            estimate = summarise(
+                step.readout,
+                object_id=object_id,
+                stamp_ns=int(stamp),
+                log_time_ns=int(log_time),
+                labels=measurements.label_names_of(int(row)),
+                measurements=step.count,
+                cell_size=model.grid.cell_size,
+                known=candidates.known,
+            )
+            updates.append((int(row), estimate))
+        beliefs.append(tracker.belief(updates[-1][1]))
+    updates.sort(key=lambda update: update[0])
+    return [estimate for _, estimate in updates], beliefs
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A moment at which maps are written: after the first ``count`` measurements."""
+
+    count: int
+    stamp_ns: int
+    log_time_ns: int
+
+
+def cuts_every(measurements: LabelMeasurements, period_ns: int | None) -> list[Cut]:
+    """The end, and before it every ``period_ns`` after the first measurement."""
+    stamps, log_times = measurements.stamps_ns, measurements.log_times_ns
+    if len(stamps) == 0:
+        return []
+    counts = [len(stamps)]
+    if period_ns is not None:
+        moments = np.arange(stamps[0] + period_ns, stamps[-1], period_ns)
+        counts = np.unique([*np.searchsorted(stamps, moments, side="right"), len(stamps)]).tolist()
+    return [Cut(int(n), int(stamps[n - 1]), int(log_times[n - 1])) for n in counts]
+
+
+class GridEstimate:
+    """The grid's beliefs, streamed as blocks; the class maps grow beside them."""
+
+    def __init__(self, problem: Problem, cuts: Sequence[Cut]) -> None:
+        self._problem = problem
+        self._cuts = cuts
+        self._cells: list[list[IntArray]] = [[] for _ in cuts]
+        self._classes: list[list[FloatArray]] = [[] for _ in cuts]
+
+    def blocks(self) -> Iterator[BeliefBlock]:
+        """Full beliefs, tile by tile, each at every cut."""
+        problem = self._problem
+        if problem.grid is None:
+            return
+        priors = problem.model.classes.log_priors
+        counts = [cut.count for cut in self._cuts]
+        for tile in grid_beliefs(problem.engine, problem.grid, priors, counts):
+            for index, (cut, belief) in enumerate(zip(self._cuts, tile, strict=True)):
+                if len(belief.cells) == 0:
+                    continue
+                self._cells[index].append(belief.cells)
+                self._classes[index].append(belief.posterior.log_class_probability)
+                yield BeliefBlock(
+                    object_id="",
+                    grid=problem.grid,
+                    stamp_ns=cut.stamp_ns,
+                    log_time_ns=cut.log_time_ns,
+                    block=belief.tile,
+                    blocks=belief.tiles,
+                    cells=belief.cells,
+                    log_cell_mass=np.zeros(len(belief.cells)),
+                    log_class_probability=belief.posterior.log_class_probability,
+                    log_density=belief.posterior.log_density.astype(np.float32),
+                    measurements=belief.measurements,
+                )
+
+    def maps(self) -> list[ClassMaps]:
+        """The class maps of every cut, once all blocks have been taken."""
+        problem = self._problem
+        if problem.grid is None:
+            return []
+        result = []
+        for cut, cells, classes in zip(self._cuts, self._cells, self._classes, strict=True):
+            if not cells:
+                continue
+            every = np.concatenate(cells)
+            order = np.argsort(every)
+            probabilities = np.exp(np.concatenate(classes)[order])
+            result.append(
+                ClassMaps(
+                    grid=problem.grid,
+                    stamp_ns=cut.stamp_ns,
+                    log_time_ns=cut.log_time_ns,
+                    cells=every[order],
+                    class_probabilities=probabilities / probabilities.sum(axis=1, keepdims=True),
+                    untouched=np.exp(problem.model.classes.log_priors),
+                )
+            )
+        return result
