@@ -193,8 +193,8 @@ def test_box_of_an_object_straight_ahead() -> None:
     ("pose", "seen"),
     [
         ((0.0, 0.0, 0.0), True),
-        ((0.0, 0.0, 0.58), True),  # the border of the image is at 35°, or 0.61 rad
-        ((0.0, 0.0, 0.64), False),
+        ((0.0, 0.0, 0.56), True),  # half of it, perspective included, at 0.575
+        ((0.0, 0.0, 0.59), False),
         ((0.0, 0.0, math.pi), False),
     ],
 )
