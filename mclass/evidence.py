@@ -20,6 +20,7 @@ from mclass.table import LikelihoodTable, build_table
 _DENSE_SHARE = 0.1
 """Above this filling a matrix product is faster dense than sparse."""
 
+_DENSE_BYTES = 2**22
 _PAIRS_AT_ONCE = 2**13
 
 
@@ -198,4 +199,10 @@ def _product(weights: csr_array, values: FloatArray) -> FloatArray:
         (weights.data, position[weights.indices], weights.indptr),
         shape=(weights.shape[0], len(used)),
     )
-    return np.asarray(compact.toarray() @ values[used])
+    result = np.empty((weights.shape[0], values.shape[1]))
+    values = values[used]
+    step = max(1, _DENSE_BYTES // (8 * len(used)))
+    for start in range(0, len(result), step):
+        rows = slice(start, start + step)
+        np.matmul(compact[rows].toarray(), values, out=result[rows])
+    return result

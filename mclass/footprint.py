@@ -208,6 +208,10 @@ class Sight:
     directions: FloatArray
     inside: BoolArray
 
+    def select(self, cells: IntArray) -> Sight:
+        """Only the given cells."""
+        return Sight(self.ranges[cells], self.directions[cells], self.inside[cells])
+
 
 def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
     """Range, direction and footprint test of every cell for every detection.

@@ -9,20 +9,21 @@ half as many measurements point at it as at the cell most pointed at.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
 from mclass.belief import log_orientation_density
 from mclass.evidence import Engine, Evidence, Pairs
-from mclass.footprint import Grid, sight, tiles
+from mclass.footprint import Grid, Sight, sight, tiles
 from mclass.orientation import log_mean_exp
-from mclass.records import FloatArray, IntArray
+from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.results import BeliefBlock, ObjectEstimate
 from mclass.summary import NEGLIGIBLE, Readout
 
 _BLOCK_BYTES = 64 * 2**20
+_ROWS_AT_ONCE = 256
 
 
 @dataclass(frozen=True)
@@ -92,48 +93,83 @@ class ObjectFilter:
         self._misses = np.zeros(count, dtype=np.int64)
 
     def steps(self, rows: IntArray) -> Iterator[Step]:
-        """Apply measurements in the given order and yield the belief after each."""
-        done = 0
-        cell_bytes = 8 * self.engine.n_classes * self.engine.bins * len(self.candidates.cells)
-        block = int(np.clip(_BLOCK_BYTES // max(cell_bytes, 1), 1, 64))
-        for start in range(0, len(rows), block):
-            part = rows[start : start + block]
+        """Apply measurements in the given order and yield the belief after each.
+
+        Cells are let go after the last measurement at which they are candidates.
+        """
+        last_candidate = self._last_candidate(rows)
+        start = 0
+        while start < len(rows):
+            kept = last_candidate >= start
+            if not kept.all():
+                self._keep(np.flatnonzero(kept))
+                last_candidate = last_candidate[kept]
+            cell_bytes = 8 * self.engine.n_classes * self.engine.bins * len(last_candidate)
+            part = rows[start : start + int(np.clip(_BLOCK_BYTES // cell_bytes, 1, 64))]
             for offset, readout in enumerate(self._block(part)):
-                yield Step(int(part[offset]), done + offset + 1, readout)
-            done += len(part)
+                yield Step(int(part[offset]), start + offset + 1, readout)
+            start += len(part)
+
+    def _last_candidate(self, rows: IntArray) -> IntArray:
+        """Position in ``rows`` of the last measurement at which each cell is a candidate, (k,)."""
+        last = np.full(len(self.candidates.cells), -1, dtype=np.int64)
+        hits = self._hits
+        for start in range(0, len(rows), _ROWS_AT_ONCE):
+            part = rows[start : start + _ROWS_AT_ONCE]
+            inside, located = self._inside(self._sight(part), part)
+            totals = hits[:, None] + np.cumsum(inside & located, axis=1)
+            candidate = _is_candidate(totals)
+            latest = len(part) - 1 - np.argmax(candidate[:, ::-1], axis=1)
+            last = np.where(candidate.any(axis=1), start + latest, last)
+            hits = totals[:, -1]
+        return last
+
+    def _keep(self, cells: IntArray) -> None:
+        """Go on with some of the cells only."""
+        self.candidates = replace(self.candidates, cells=self.candidates.cells[cells])
+        self._total = self._total.select(cells)
+        self._hits, self._misses = self._hits[cells], self._misses[cells]
+
+    def _sight(self, rows: IntArray) -> Sight:
+        pointing = self.engine.pointing.select(rows)
+        return sight(self.candidates.centers, self.candidates.grid.cell_size, pointing)
+
+    def _inside(self, seen: Sight, rows: IntArray) -> tuple[BoolArray, BoolArray]:
+        """Footprint test of every cell (k, m); which measurements have a footprint at all (m,)."""
+        located = np.isfinite(self.engine.pointing.directions[rows]).all(axis=1)
+        return seen.inside, np.asarray(located & (not self.candidates.known))
 
     def _block(self, rows: IntArray) -> Iterator[Readout]:
-        centers = self.candidates.centers
-        pointing = self.engine.pointing.select(rows)
-        seen = sight(centers, self.candidates.grid.cell_size, pointing)
-        located = np.isfinite(pointing.directions).all(axis=1) & (not self.candidates.known)
-        hits = self._hits[:, None] + np.cumsum(seen.inside & located, axis=1)
-        misses = self._misses[:, None] + np.cumsum(~seen.inside & located, axis=1)
-        candidate = 2 * hits >= hits.max(axis=0)
+        seen = self._sight(rows)
+        inside, located = self._inside(seen, rows)
+        hits = self._hits[:, None] + np.cumsum(inside & located, axis=1)
+        misses = self._misses[:, None] + np.cumsum(~inside & located, axis=1)
+        candidate = _is_candidate(hits)
         before, before_mass = self._total, self._mass(self._total, self._misses)
-        pairs = _all_pairs(seen.ranges, seen.directions, rows)
-        after = before + self._evidence(pairs)
+        after = before + self._evidence(_all_pairs(seen, rows))
         after_mass = self._mass(after, misses[:, -1])
-        best_before = before_mass[candidate[:, 0]].max(initial=-np.inf)
-        best_after = after_mass[candidate[:, -1]].max(initial=-np.inf)
+        # What matters neither before the block nor after it does not matter within.
         active = np.flatnonzero(
             candidate.any(axis=1)
-            & ((before_mass > best_before - NEGLIGIBLE) | (after_mass > best_after - NEGLIGIBLE))
+            & (
+                (before_mass > before_mass[candidate[:, 0]].max(initial=-np.inf) - NEGLIGIBLE)
+                | (after_mass > after_mass[candidate[:, -1]].max(initial=-np.inf) - NEGLIGIBLE)
+            )
         )
-        each = self._evidence(_single_pairs(seen.ranges[active], seen.directions[active], rows))
+        each = self._evidence(_single_pairs(seen.select(active), rows))
         shape = (len(active), len(rows))
         classes = each.classes.reshape(*shape, self.engine.n_classes, self.engine.bins)
         classes = before.classes[active, None] + np.cumsum(classes, axis=1)
         background = before.background[active, None] + np.cumsum(
             each.background.reshape(shape), axis=1
         )
-        penalty = misses[active] * self.log_outside
-        penalty = np.where(candidate[active], penalty, -np.inf)
+        penalty = np.where(candidate[active], misses[active] * self.log_outside, -np.inf)
         log_joint = np.concatenate([background[..., None], log_mean_exp(classes)], axis=-1)
         log_joint += self.log_priors + penalty[..., None]
+        centers = self.candidates.centers[active]
         self._total, self._hits, self._misses = after, hits[:, -1], misses[:, -1]
         for t in range(len(rows)):
-            yield Readout(classes[:, t], log_joint[:, t], centers[active])
+            yield Readout(classes[:, t], log_joint[:, t], centers)
 
     def _evidence(self, pairs: Pairs) -> Evidence:
         exact = self.candidates.known
@@ -147,8 +183,7 @@ class ObjectFilter:
 
     def belief(self, last: ObjectEstimate) -> BeliefBlock:
         """The full belief after the last measurement, cells of negligible mass left out."""
-        candidate = 2 * self._hits >= self._hits.max()
-        mass = np.where(candidate, self._mass(self._total, self._misses), -np.inf)
+        mass = np.where(_is_candidate(self._hits), self._mass(self._total, self._misses), -np.inf)
         kept = np.flatnonzero(mass >= mass.max() - NEGLIGIBLE)
         classes = self._total.classes[kept]
         log_joint = np.concatenate(
@@ -171,22 +206,22 @@ class ObjectFilter:
         )
 
 
-def _all_pairs(ranges: FloatArray, directions: FloatArray, rows: IntArray) -> Pairs:
+def _is_candidate(hits: IntArray) -> BoolArray:
+    """Cells that at least half as many measurements point at as at the best, same shape."""
+    return np.asarray(2 * hits >= hits.max(axis=0))
+
+
+def _all_pairs(seen: Sight, rows: IntArray) -> Pairs:
     """Every cell with every measurement: one row a cell."""
-    cells, count = ranges.shape
-    return Pairs(
-        starts=np.arange(cells + 1) * count,
-        measurements=np.tile(rows, cells),
-        ranges=ranges.ravel(),
-        directions=directions.ravel(),
-    )
+    cells, count = seen.ranges.shape
+    return _pairs(seen, rows, starts=np.arange(cells + 1) * count)
 
 
-def _single_pairs(ranges: FloatArray, directions: FloatArray, rows: IntArray) -> Pairs:
+def _single_pairs(seen: Sight, rows: IntArray) -> Pairs:
     """Every cell with every measurement: one row a pair."""
-    return Pairs(
-        starts=np.arange(ranges.size + 1),
-        measurements=np.tile(rows, len(ranges)),
-        ranges=ranges.ravel(),
-        directions=directions.ravel(),
-    )
+    return _pairs(seen, rows, starts=np.arange(seen.ranges.size + 1))
+
+
+def _pairs(seen: Sight, rows: IntArray, starts: IntArray) -> Pairs:
+    measurements = np.tile(rows, len(seen.ranges))
+    return Pairs(starts, measurements, seen.ranges.ravel(), seen.directions.ravel())

@@ -1,0 +1,76 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+LOG = click.Path(path_type=Path)
+"""A log or model file; whether it can be read is said by the reader, with what to do."""
+
+
+def format_option(command: Command) -> Command:
+    """``--format text|json``."""
+    return click.option(
+        "--format",
+        "output_format",
+        type=click.Choice(["text", "json"]),
+        default="text",
+        show_default=True,
+        help="How results are printed to stdout.",
+    )(command)
+
+
+def plot_option(command: Command) -> Command:
+    """``--plot FILE``."""
+    return click.option(
+        "--plot",
+        "plot_path",
+        type=click.Path(path_type=Path),
+        metavar="FILE",
+        help="Also draw to FILE (.png, .svg or .pdf); needs the extra mclass[plot].",
+    )(command)
+
+
+def model_option(command: Command) -> Command:
+    """``-c MODEL``."""
+    return click.option(
+        "-c",
+        "--model",
+        "model_path",
+        type=click.Path(path_type=Path),
+        metavar="MODEL.yaml",
+        help="Model file. Without it: mclass.yaml beside the log, in the working directory, "
+        "or attached to the log.",
+    )(command)
+
+
+def time_options(command: Command) -> Command:
+    """``-S/--start`` and ``-E/--end``."""
+    end = click.option(
+        "-E", "--end", metavar="TIME", help="Ignore messages logged after TIME (as --start)."
+    )
+    start = click.option(
+        "-S",
+        "--start",
+        metavar="TIME",
+        help="Ignore messages logged before TIME: nanoseconds, RFC 3339, or +10s from the start.",
+    )
+    return start(end(command))
+
+
+def overwrite_option(command: Command) -> Command:
+    """``--overwrite``."""
+    return click.option("--overwrite", is_flag=True, help="Replace an existing output.")(command)
+
+
+def echo_json(document: Any) -> None:
+    """Print a JSON document to stdout."""
+    import json  # noqa: PLC0415 - keeps start-up short
+
+    click.echo(json.dumps(document, ensure_ascii=False, allow_nan=False, indent=1))
