@@ -174,7 +174,7 @@ estimates = st.lists(
             "id": st.text(st.characters(exclude_categories=["Cs"]), max_size=9),
             "stamp_ns": st.integers(-(2**63), 2**63 - 1),
             "labels": st.lists(st.text(st.characters(exclude_categories=["Cs"]), max_size=4)),
-            "measurements": st.integers(0, 2**64 - 1),
+            "measurements": st.integers(0, 2**32 - 1),
             "x": numbers,
             "modes": st.lists(
                 st.fixed_dictionaries({"orientation": numbers, "mass": numbers, "std": numbers}),
