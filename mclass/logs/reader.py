@@ -1,0 +1,463 @@
+"""Reading MCAP logs at the level of records: whole, unindexed, damaged or cut off.
+
+All that can be used is used; ``LogReader.damage`` counts what could not be, in sentences.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from mcap.records import AttachmentIndex
+
+from mclass.errors import LogError
+from mclass.logs.chunks import (
+    ChunkContent,
+    ChunkEntry,
+    ChunkLostError,
+    IndexLiesError,
+    Kind,
+    read_chunk,
+)
+from mclass.logs.damage import Damage
+from mclass.logs.index import load_index, lose_chunk, scan_index, use_content
+from mclass.logs.source import Source, open_source
+from mclass.logs.summary import Summary
+from mclass.logs.walk import LogIndex, read_attachment_head
+from mclass.logs.wire import (
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    ChannelRecord,
+    MalformedError,
+    parse_metadata,
+)
+from mclass.records import BoolArray, IntArray
+
+_LATEST = (1 << 63) - 1
+_BLOCK = 1 << 20
+_MESSAGE_FIELDS = MESSAGE_HEAD - RECORD_HEAD
+
+
+@dataclass(frozen=True)
+class ChannelInfo:
+    """A channel and its schema.
+
+    Attributes:
+        id: Number in the log.
+        topic: Name.
+        message_encoding: ``cdr``, ``protobuf``, ``json``, ``ros1``, ...
+        schema_name: Message type; empty when the channel has no schema.
+        schema_encoding: ``ros2msg``, ``protobuf``, ...; empty when there is no schema.
+        schema_data: The schema itself.
+        message_count: Messages in the log; None when unknown without reading all of it.
+        metadata: Of the channel.
+    """
+
+    id: int
+    topic: str
+    message_encoding: str
+    schema_name: str
+    schema_encoding: str
+    schema_data: bytes
+    message_count: int | None
+    metadata: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class MessageBatch:
+    """Messages of one channel out of one chunk, in file order.
+
+    Message ``i`` is ``buffer[offsets[i] : offsets[i] + lengths[i]]``.
+
+    Attributes:
+        channel: Of all of them.
+        buffer: The chunk's records.
+        offsets: Where payloads begin in ``buffer``, (n,).
+        lengths: Bytes of the payloads, (n,).
+        log_times_ns: Log times [ns], (n,); those beyond 2262 count as 2^63 - 1.
+        first_index: Number of the first message within its channel, from 0; the others
+            follow without gap.
+    """
+
+    channel: ChannelInfo
+    buffer: memoryview | bytes
+    offsets: IntArray
+    lengths: IntArray
+    log_times_ns: IntArray
+    first_index: int
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+
+@dataclass(frozen=True)
+class AttachmentInfo:
+    """An attachment without its data. ``size`` in bytes, ``log_time_ns`` in nanoseconds."""
+
+    name: str
+    media_type: str
+    size: int
+    log_time_ns: int
+
+
+@dataclass(frozen=True)
+class CompressionUse:
+    """Chunks of one compression: how many, and their bytes packed and unpacked."""
+
+    chunks: int
+    compressed_size: int
+    uncompressed_size: int
+
+
+class LogReader:
+    """An open log.
+
+    Attributes:
+        path: Of the file.
+        size: Bytes in the file.
+        damage: What could not be used; grows while the log is read.
+        index: Where everything is; for ``LogWriter``.
+        source: The file's bytes; for ``LogWriter``.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.path = Path(source.name)
+        self.source = source
+        self.size = source.size
+        self.index: LogIndex
+        self.damage: Damage
+        self.index, self.damage = load_index(source)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> LogReader:
+        """Open a log; a pipe is copied to a temporary file first.
+
+        Raises:
+            LogError: If it cannot be opened, or is not MCAP.
+        """
+        source = open_source(path)
+        try:
+            return cls(source)
+        except BaseException:
+            source.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file; harmless when done twice."""
+        self.source.close()
+
+    def __enter__(self) -> LogReader:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def profile(self) -> str:
+        """The log's profile (``ros2``); often empty."""
+        return self.index.profile
+
+    @property
+    def library(self) -> str:
+        """What wrote the log."""
+        return self.index.library
+
+    @property
+    def channels(self) -> Sequence[ChannelInfo]:
+        """All channels by increasing id."""
+        counts = self._message_counts()
+        channels = (self.index.channels[key] for key in sorted(self.index.channels))
+        return tuple(self._channel_info(channel, counts) for channel in channels)
+
+    @property
+    def start_ns(self) -> int | None:
+        """Earliest log time [ns]; None if the log holds no messages."""
+        starts = [entry.start_time for entry in self.index.chunks if entry.messages != 0]
+        return min(*starts, _LATEST) if starts else None
+
+    @property
+    def end_ns(self) -> int | None:
+        """Latest log time [ns], that message included; None if the log holds no messages."""
+        ends = [entry.end_time for entry in self.index.chunks if entry.messages != 0]
+        return min(max(ends), _LATEST) if ends else None
+
+    @property
+    def message_count(self) -> int | None:
+        """Messages of all channels; None when unknown without reading all of the log."""
+        counts = self._message_counts()
+        return None if counts is None else sum(counts.values())
+
+    @property
+    def indexed(self) -> bool:
+        """Whether the log's own summary is there, right and in use."""
+        return self.index.summarised
+
+    @property
+    def compressions(self) -> Mapping[str, CompressionUse]:
+        """Chunks by the name of their compression; messages without chunks are not in it."""
+        uses: dict[str, CompressionUse] = {}
+        for entry in self.index.chunks:
+            if entry.kind is Kind.CHUNK:
+                use = uses.get(entry.compression, CompressionUse(0, 0, 0))
+                uses[entry.compression] = CompressionUse(
+                    use.chunks + 1,
+                    use.compressed_size + entry.compressed_size,
+                    use.uncompressed_size + entry.uncompressed_size,
+                )
+        return uses
+
+    @property
+    def attachments(self) -> Sequence[AttachmentInfo]:
+        """All attachments in file order."""
+        return tuple(
+            AttachmentInfo(found.name, found.media_type, found.data_size, found.log_time)
+            for found in self.index.attachments
+        )
+
+    @property
+    def metadata_names(self) -> Sequence[str]:
+        """Names of all metadata records in file order."""
+        return tuple(found.name for found in self.index.metadata)
+
+    def attachment(self, name: str, max_size: int = 1 << 26) -> bytes | None:
+        """Data of the last attachment of that name, None if there is none.
+
+        Raises:
+            LogError: If it is larger than ``max_size`` bytes, or broken.
+        """
+        found = [entry for entry in self.index.attachments if entry.name == name]
+        if not found:
+            return None
+        if found[-1].data_size > max_size:
+            raise LogError(
+                f"attachment {name!r} has {found[-1].data_size:,} bytes, more than the "
+                f"{max_size:,} that are read.",
+                path=str(self.path),
+            )
+        data, intact = self._attachment_data(found[-1])
+        if not intact:
+            raise LogError(
+                f"attachment {name!r} is broken: its checksum does not match.", path=str(self.path)
+            )
+        return data
+
+    def metadata(self, name: str) -> Mapping[str, str] | None:
+        """The last metadata record of that name, None if there is none."""
+        found = [entry for entry in self.index.metadata if entry.name == name]
+        if not found:
+            return None
+        record = self.source.read(found[-1].offset, found[-1].length)
+        try:
+            return parse_metadata(record)[1]
+        except MalformedError as error:
+            raise LogError(f"metadata {name!r} is broken: {error}.", path=str(self.path)) from error
+
+    def batches(
+        self,
+        channel_ids: Iterable[int],
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[MessageBatch]:
+        """Messages of some channels in file order, a batch for each channel and chunk.
+
+        Only chunks that hold such messages are decompressed. Chunks that cannot be used are
+        counted in ``damage`` and passed over. ``first_index`` counts the messages of lost
+        chunks too where their message indexes tell how many there were.
+
+        Args:
+            channel_ids: Channels wanted.
+            start_ns: Earliest log time [ns], inclusive.
+            end_ns: Latest log time [ns], exclusive.
+
+        Raises:
+            LogError: If the disk fails.
+        """
+        infos = {channel.id: channel for channel in self.channels}
+        wanted = infos.keys() & frozenset(channel_ids)
+        seen = dict.fromkeys(wanted, 0)
+
+        def relevant(entry: ChunkEntry) -> bool:
+            if entry.counts is None:
+                return True
+            return (
+                any(entry.counts.get(channel_id) for channel_id in wanted)
+                and (start_ns is None or entry.end_time >= start_ns)
+                and (end_ns is None or entry.start_time < end_ns)
+            )
+
+        for entry, content in self._contents(relevant):
+            if content is None:
+                for channel_id in wanted & (entry.counts or {}).keys():
+                    seen[channel_id] += (entry.counts or {})[channel_id]
+                continue
+            times = np.minimum(content.heads["log_time"], np.uint64(_LATEST)).astype(np.int64)
+            within = np.ones(len(times), dtype=np.bool_)
+            if start_ns is not None:
+                within &= times >= start_ns
+            if end_ns is not None:
+                within &= times < end_ns
+            for channel_id, rows in _rows_by_channel(content, wanted):
+                first = seen[channel_id]
+                seen[channel_id] += len(rows)
+                # Times need not increase; a batch without gap keeps the numbering right.
+                for begin, stop in _runs(within[rows]):
+                    span = rows[begin:stop]
+                    yield MessageBatch(
+                        infos[channel_id],
+                        content.data,
+                        content.starts[span] + MESSAGE_HEAD,
+                        content.heads["length"][span].astype(np.int64) - _MESSAGE_FIELDS,
+                        times[span],
+                        first + begin,
+                    )
+
+    def verify(self, progress: Callable[[int, int], None] | None = None) -> tuple[str, ...]:
+        """Read and check everything; returns what is wrong, in sentences.
+
+        Every record is visited whatever the summary says; checksums of all chunks,
+        attachments and the data section are computed, message indexes, times and statistics
+        compared with the messages. What cannot be used is also counted in ``damage``.
+
+        Args:
+            progress: Called with bytes done and bytes in all.
+
+        Raises:
+            LogError: If the disk fails.
+        """
+        self._rebuild()
+        problems: list[str] = []
+        for entry, content in self._contents(lambda entry: True):
+            if content is not None:
+                problems += _chunk_problems(entry, content)
+            if progress is not None:
+                progress(entry.offset, self.size)
+        for attachment in self.index.attachments:
+            if not self._attachment_intact(attachment):
+                problems.append(f"attachment {attachment.name!r}: its checksum does not match")
+        crc = self.index.data_crc
+        if crc and crc != self._checksum(0, self.index.data_end):
+            problems.append("the checksum of the data section does not match")
+        if progress is not None:
+            progress(self.size, self.size)
+        return (*self.damage.sentences, *problems)
+
+    def _message_counts(self) -> dict[int, int] | None:
+        statistics = self.index.statistics
+        if self.index.summarised and statistics is not None and statistics.channel_message_counts:
+            return statistics.channel_message_counts
+        return self.index.message_counts()
+
+    def _channel_info(self, channel: ChannelRecord, counts: dict[int, int] | None) -> ChannelInfo:
+        schema = self.index.schemas.get(channel.schema_id)
+        return ChannelInfo(
+            channel.id,
+            channel.topic,
+            channel.message_encoding,
+            schema.name if schema else "",
+            schema.encoding if schema else "",
+            schema.data if schema else b"",
+            None if counts is None else counts.get(channel.id, 0),
+            channel.metadata,
+        )
+
+    def _contents(
+        self, relevant: Callable[[ChunkEntry], bool]
+    ) -> Iterator[tuple[ChunkEntry, ChunkContent | None]]:
+        """All chunks in file order; without content those not relevant and those lost."""
+        position = 0
+        while True:
+            try:
+                for entry in self.index.chunks:
+                    if entry.offset >= position:
+                        content = self._content(entry) if relevant(entry) else None
+                        position = entry.offset + entry.length
+                        yield entry, content
+            except IndexLiesError:  # noqa: PERF203 (once in a log)
+                self.damage.remark(
+                    "the summary is wrong (a chunk is not what it says); the log was indexed by "
+                    "reading it"
+                )
+                self._rebuild()
+            else:
+                return
+
+    def _content(self, entry: ChunkEntry) -> ChunkContent | None:
+        try:
+            content = read_chunk(self.source, entry)
+        except ChunkLostError as error:
+            lose_chunk(entry, error, self.damage)
+            return None
+        except IndexLiesError:
+            if self.index.summarised:
+                raise
+            changed = ChunkLostError("the file changed while it was read")
+            lose_chunk(entry, changed, self.damage)
+            return None
+        use_content(entry, content, self.damage)
+        return content
+
+    def _rebuild(self) -> None:
+        """Index the log anew by reading through it."""
+        old = self.index
+        known = Summary(0, old.schemas, old.channels, {}, old.statistics)
+        self.index = scan_index(self.source, self.damage, known)
+
+    def _attachment_data(self, found: AttachmentIndex) -> tuple[bytes, bool]:
+        """Data of an attachment, and whether its checksum matches."""
+        _, start = read_attachment_head(self.source, found.offset)
+        record = self.source.read(found.offset, start + found.data_size + 4)
+        crc = int.from_bytes(record[-4:], "little")
+        intact = not crc or crc == zlib.crc32(memoryview(record)[RECORD_HEAD:-4])
+        return record[start:-4], intact
+
+    def _attachment_intact(self, found: AttachmentIndex) -> bool:
+        _, start = read_attachment_head(self.source, found.offset)
+        end = found.offset + start + found.data_size
+        crc = int.from_bytes(self.source.read(end, 4), "little")
+        return not crc or crc == self._checksum(found.offset + RECORD_HEAD, end)
+
+    def _checksum(self, start: int, end: int) -> int:
+        crc = 0
+        for offset in range(start, end, _BLOCK):
+            crc = zlib.crc32(self.source.read(offset, min(_BLOCK, end - offset)), crc)
+        return crc
+
+
+def _rows_by_channel(content: ChunkContent, wanted: Set[int]) -> Iterator[tuple[int, IntArray]]:
+    """Rows of each wanted channel in a chunk; the channel whose first row comes first, first."""
+    channels = content.heads["channel"]
+    present, firsts = np.unique(channels, return_index=True)
+    for channel_id in present[np.argsort(firsts)].tolist():
+        if channel_id in wanted:
+            yield channel_id, np.flatnonzero(channels == channel_id)
+
+
+def _runs(within: BoolArray) -> Iterator[tuple[int, int]]:
+    """Begin and end of each run of true elements."""
+    if within.all():
+        if len(within):
+            yield 0, len(within)
+        return
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], within, [False]))))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def _chunk_problems(entry: ChunkEntry, content: ChunkContent) -> list[str]:
+    where = f"chunk at byte {entry.offset}"
+    problems = []
+    if entry.index_offsets and (not content.indexed or entry.counts != content.counts()):
+        problems.append(f"{where}: its message indexes do not fit its messages")
+    times = content.heads["log_time"]
+    if len(times) and (times.min() < entry.start_time or times.max() > entry.end_time):
+        problems.append(f"{where}: messages lie outside of the times that it states")
+    return problems

@@ -1,0 +1,328 @@
+"""One walk along the records of a log's data section, and what it finds."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, MetadataIndex, Statistics
+
+from mclass.logs.chunks import ChunkContent, ChunkEntry, Kind
+from mclass.logs.damage import Damage
+from mclass.logs.scan import PEEK, RecordFinder
+from mclass.logs.source import MAGIC, Source
+from mclass.logs.summary import Summary
+from mclass.logs.wire import (
+    MAX_RECORD,
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    ChannelRecord,
+    MalformedError,
+    SchemaRecord,
+    parse_attachment_head,
+    parse_channel,
+    parse_chunk_head,
+    parse_header,
+    parse_metadata,
+    parse_schema,
+)
+
+_RUN_BYTES = 1 << 20
+_MAX_DEFINITION = 1 << 26
+_LATEST = (1 << 64) - 1
+_SUMMARY_OPCODES = frozenset(
+    {
+        Opcode.FOOTER,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.STATISTICS,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+    }
+)
+
+
+@dataclass
+class LogIndex:
+    """Where everything in a log is.
+
+    Attributes:
+        profile: Of the header; empty without one.
+        library: Of the header.
+        has_header: Whether a header record was read.
+        schemas: By id.
+        channels: By id.
+        chunks: In file order; runs of messages outside chunks and a cut chunk among them.
+        attachments: In file order.
+        metadata: In file order.
+        kept: Byte ranges of whole records without the runs of loose messages; with the
+            ``chunks`` of the kinds loose and cut they are all that the log holds.
+        data_crc: Checksum of the data section as the file says; 0 if it says none.
+        data_end: Where the data section ends.
+        statistics: As the file says; None if it says none.
+        summarised: Whether the summary was used.
+    """
+
+    profile: str = ""
+    library: str = ""
+    has_header: bool = False
+    schemas: dict[int, SchemaRecord] = field(default_factory=dict)
+    channels: dict[int, ChannelRecord] = field(default_factory=dict)
+    chunks: list[ChunkEntry] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    kept: list[tuple[int, int]] = field(default_factory=list)
+    data_crc: int = 0
+    data_end: int = len(MAGIC)
+    statistics: Statistics | None = None
+    summarised: bool = False
+
+    def message_counts(self) -> dict[int, int] | None:
+        """Messages of each channel over all chunks; None if some chunk's are unknown."""
+        totals: dict[int, int] = {}
+        for entry in self.chunks:
+            if entry.counts is None:
+                return None
+            for channel, count in entry.counts.items():
+                totals[channel] = totals.get(channel, 0) + count
+        return {channel: count for channel, count in totals.items() if count}
+
+    def define(self, content: ChunkContent) -> None:
+        """Take over the schemas and channels that stand in a chunk."""
+        data = content.data
+        for start in content.definitions:
+            length = int.from_bytes(data[start + 1 : start + RECORD_HEAD], "little")
+            self.define_record(data[start : start + RECORD_HEAD + length])
+
+    def define_record(self, record: bytes) -> None:
+        """Take over one whole schema or channel record; the first of an id stays.
+
+        A broken one is passed over: what lacks a definition in the end is counted as lost.
+        """
+        try:
+            if record[0] == Opcode.SCHEMA:
+                schema = parse_schema(record)
+                self.schemas.setdefault(schema.id, schema)
+            else:
+                channel = parse_channel(record)
+                self.channels.setdefault(channel.id, channel)
+        except MalformedError:
+            return
+
+    def add_definitions(self, summary: Summary) -> None:
+        """Take over the schemas and channels of a summary where there are none yet."""
+        self.schemas = {**summary.schemas, **self.schemas}
+        self.channels = {**summary.channels, **self.channels}
+
+    def defines(self, channel_id: int) -> bool:
+        """Whether that channel and its schema are known."""
+        channel = self.channels.get(channel_id)
+        return channel is not None and (channel.schema_id == 0 or channel.schema_id in self.schemas)
+
+
+class UntrustedSummaryError(Exception):
+    """The summary contradicts the file; the text ends a sentence that says how."""
+
+
+class Walk:
+    """One walk. With a summary it jumps over the chunks that this lists."""
+
+    def __init__(self, source: Source, damage: Damage, summary: Summary | None) -> None:
+        self._source = source
+        self._damage = damage
+        self._summary = summary
+        self._end = source.size if summary is None else summary.start
+        self._finder = RecordFinder(source, self._end)
+        self._run: ChunkEntry | None = None
+        self._index = LogIndex(summarised=summary is not None)
+        if summary is not None:
+            self._index.add_definitions(summary)
+            self._index.statistics = summary.statistics
+
+    def walk(self) -> LogIndex:
+        """Go from the magic to the end of the data section.
+
+        Raises:
+            UntrustedSummaryError: If there is a summary and the file is not as it says.
+        """
+        index = self._index
+        jumps = {} if self._summary is None else dict(self._summary.chunks)
+        position: int | None = len(MAGIC)
+        while position is not None and position < self._end:
+            index.data_end = position
+            entry = jumps.pop(position, None)
+            position = self._record(position) if entry is None else self._jump(entry)
+        self._close_run()
+        if jumps or (position is not None and position > self._end):
+            raise UntrustedSummaryError("a chunk is not where it says")
+        if position is not None:
+            index.data_end = position
+            self._miss_end_mark()
+        if not index.has_header:
+            self._damage.remark("the log has no header; its profile is unknown")
+        return index
+
+    def _jump(self, entry: ChunkEntry) -> int:
+        self._close_run()
+        end = entry.offset + entry.length + entry.index_length
+        self._index.chunks.append(entry)
+        self._keep(entry.offset, end)
+        return end
+
+    def _record(self, position: int) -> int | None:
+        """Take one record; the next one's place, None where the walk ends."""
+        span = self._finder.span(position)
+        if span is None:
+            return self._beyond_damage(position)
+        opcode, following = span
+        if opcode == Opcode.MESSAGE:
+            self._add_to_run(position, following)
+            return following
+        self._close_run()
+        if opcode == Opcode.DATA_END:
+            crc = self._source.peek(position + RECORD_HEAD, 4)
+            self._index.data_crc = int.from_bytes(crc, "little")
+            return None
+        if opcode in _SUMMARY_OPCODES:
+            self._damage.remark("the data section has no end mark")
+            return None
+        if opcode == Opcode.CHUNK:
+            return self._chunk(position, following)
+        self._keep(position, following)
+        try:
+            self._other_record(opcode, position, following - position)
+        except MalformedError:
+            length = following - position
+            self._damage.lose("a record is broken", position, n_bytes=length, messages=0)
+        return following
+
+    def _other_record(self, opcode: int, position: int, length: int) -> None:
+        index = self._index
+        if opcode == Opcode.ATTACHMENT:
+            index.attachments.append(read_attachment_head(self._source, position)[0])
+        elif length > _MAX_DEFINITION:
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+                raise MalformedError("too long")
+        elif opcode == Opcode.HEADER and not index.has_header:
+            index.profile, index.library = parse_header(self._source.peek(position, length))
+            index.has_header = True
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            index.define_record(self._source.peek(position, length))
+        elif opcode == Opcode.METADATA:
+            name, _ = parse_metadata(self._source.peek(position, length))
+            index.metadata.append(MetadataIndex(position, length, name))
+
+    def _chunk(self, position: int, following: int) -> int:
+        """Take a chunk and the message indexes behind it."""
+        entry = self._chunk_entry(Kind.CHUNK, position, following)
+        counts: dict[int, int] = {}
+        offsets: dict[int, int] = {}
+        end = following
+        while (span := self._finder.span(end)) and span[0] == Opcode.MESSAGE_INDEX:
+            channel, size = struct.unpack("<HI", self._source.peek(end + RECORD_HEAD, 6))
+            counts[channel] = counts.get(channel, 0) + size // 16
+            offsets[channel] = end
+            end = span[1]
+        if not entry.uncompressed_size:
+            entry.counts = {}
+        elif offsets and (span or end == self._end):
+            entry.counts, entry.index_offsets, entry.index_length = counts, offsets, end - following
+        else:
+            # The indexes are missing, cut off or broken: the chunk itself must be asked.
+            end = following
+        self._index.chunks.append(entry)
+        self._keep(position, end)
+        return end
+
+    def _chunk_entry(self, kind: Kind, position: int, following: int) -> ChunkEntry:
+        head = parse_chunk_head(self._source.peek(position, PEEK))
+        return ChunkEntry(
+            kind,
+            position,
+            following - position,
+            head.start_time,
+            head.end_time,
+            head.compression,
+            head.compressed_size,
+            head.uncompressed_size,
+        )
+
+    def _add_to_run(self, position: int, following: int) -> None:
+        length = following - position
+        if length > MAX_RECORD:
+            self._close_run()
+            self._keep(position, following)
+            reason = "a message claims more than 2 GiB"
+            self._damage.lose(reason, position, n_bytes=length, messages=1)
+            return
+        if self._run is not None and self._run.length + length > _RUN_BYTES:
+            self._close_run()
+        if self._run is None:
+            self._run = ChunkEntry(Kind.LOOSE, position, 0, _LATEST, 0)
+        run = self._run
+        head = self._source.peek(position + RECORD_HEAD, MESSAGE_HEAD - RECORD_HEAD)
+        channel, _, time = struct.unpack_from("<HIQ", head)
+        run.length += length
+        run.uncompressed_size = run.compressed_size = run.length
+        run.start_time, run.end_time = min(run.start_time, time), max(run.end_time, time)
+        run.counts = run.counts or {}
+        run.counts[channel] = run.counts.get(channel, 0) + 1
+
+    def _close_run(self) -> None:
+        if self._run is not None:
+            self._index.chunks.append(self._run)
+            self._run = None
+
+    def _keep(self, start: int, end: int) -> None:
+        kept = self._index.kept
+        if kept and kept[-1][1] == start:
+            kept[-1] = (kept[-1][0], end)
+        else:
+            kept.append((start, end))
+
+    def _beyond_damage(self, position: int) -> int | None:
+        """Go on behind bytes that are no whole record, or stop if nothing follows them."""
+        self._close_run()
+        if self._summary is not None:
+            raise UntrustedSummaryError(f"there is no record at byte {position}")
+        if self._cut_chunk(position):
+            return None
+        following = self._finder.resync(position)
+        lost = (following or self._end) - position
+        reason = "these bytes are no MCAP record"
+        if following is None and not any(self._source.peek(position, PEEK)):
+            reason = "the file ends in zeros, as after a power failure"
+        elif following is None:
+            reason = "the file ends within a record"
+        self._damage.lose(reason, position, n_bytes=lost)
+        return following
+
+    def _cut_chunk(self, position: int) -> bool:
+        """Take the chunk at ``position`` if its head is whole and the file ends within it."""
+        try:
+            entry = self._chunk_entry(Kind.CUT, position, self._end)
+        except MalformedError:
+            return False
+        claimed = int.from_bytes(self._source.peek(position + 1, 8), "little")
+        if position + RECORD_HEAD + claimed <= self._end:
+            return False
+        self._index.chunks.append(entry)
+        reason = "the file ends within this chunk; its first messages are used"
+        self._damage.lose(reason, position, chunks=1)
+        return True
+
+    def _miss_end_mark(self) -> None:
+        if self._summary is not None:
+            self._damage.remark("the data section has no end mark")
+            return
+        self._damage.lose("the file ends here without an end mark", self._index.data_end)
+
+
+def read_attachment_head(source: Source, position: int) -> tuple[AttachmentIndex, int]:
+    """Index of the attachment at ``position`` and where its data begins within the record.
+
+    Raises:
+        MalformedError: If there is none, or its names are longer than any path.
+    """
+    return parse_attachment_head(source.peek(position, 1 << 16), position)
