@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from mclass.classes import ClassModel
@@ -24,10 +23,10 @@ from mclass.records import FloatArray, LabelMeasurements
 TURN = 2.0 * math.pi
 
 
-def rotation(angle: float) -> FloatArray:
-    """R(angle), (1)."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s], [s, c]])
+def rotation(angle: FloatArray | float) -> FloatArray:
+    """R(angle), (1), shape (..., 2, 2)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
 
 
 def wrapped(angle: float) -> float:
@@ -111,7 +110,7 @@ def log_label_likelihood(
     if entry is None:
         return np.full(phi.shape, -math.inf)
     sensor = sighting.sensor_xy
-    turns = np.array([rotation(angle) for angle in phi.ravel()]).reshape(*phi.shape, 2, 2)
+    turns = rotation(phi)
     azimuth = math.atan2(object_xy[1] - sensor[1], object_xy[0] - sensor[0])
     bearing = azimuth - sighting.sensor_heading
     terms = []
@@ -177,20 +176,25 @@ def center_of(grid: Grid, cell: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far a footprint goes [m], and whether it is the box's cone or the ray at its middle."""
+    """How far a footprint goes [m], and whether it is the box's cone or the ray at its middle.
+
+    ``slack`` [m, rad] moves every border outward, to tell cells that are in or out for certain.
+    """
 
     min_range: float
     max_range: float
     kind: str = "cone"
+    slack: float = 0.0
 
 
 def in_cone(point: FloatArray, sighting: Sighting, reach: Reach) -> bool:
     """Whether a point lies between two directions and two ranges, borders included."""
     dx, dy = point - sighting.sensor_xy
-    if not reach.min_range <= math.hypot(dx, dy) <= reach.max_range:
+    slack = reach.slack
+    if not reach.min_range - slack <= math.hypot(dx, dy) <= reach.max_range + slack:
         return False
     width = (sighting.left - sighting.right) % TURN
-    return (math.atan2(dy, dx) - sighting.right) % TURN <= width
+    return (math.atan2(dy, dx) - sighting.right + slack) % TURN <= width + 2.0 * slack
 
 
 def segment_crosses_box(
@@ -221,7 +225,7 @@ def footprint_holds(grid: Grid, cell: int, sighting: Sighting, reach: Reach) -> 
     azimuth = sighting.right + 0.5 * width
     direction = np.array([math.cos(azimuth), math.sin(azimuth)])
     offset = center - sighting.sensor_xy
-    half = 0.5 * grid.cell_size
+    half = 0.5 * grid.cell_size + reach.slack
     return segment_crosses_box(
         reach.min_range * direction, reach.max_range * direction, offset - half, offset + half
     )
@@ -364,9 +368,10 @@ def object_belief(
     outside_probability: float,
     bins: int = 360,
 ) -> ObjectBelief:
-    """One object somewhere in the cells that at least one of its sightings points at.
+    """One object somewhere in the cells that enough of its sightings point at.
 
-    Every sighting counts in every cell; in a cell outside its footprint it is multiplied by
+    Those are the cells with at least half as many footprints as the cell that has most. Every
+    sighting counts in each of them; in a cell outside its footprint it is multiplied by
     ``outside_probability``, for the background as for the classes. A sighting without direction
     points nowhere and costs nothing.
     """
@@ -374,7 +379,8 @@ def object_belief(
         cell: [footprint_holds(grid, cell, s, reach) for s in seen]
         for cell in range(grid.rows * grid.columns)
     }
-    cells = [cell for cell, row in holds.items() if any(row)]
+    most = max(sum(row) for row in holds.values())
+    cells = [cell for cell, row in holds.items() if 2 * sum(row) >= most > 0]
     backgrounds, classes = [], []
     for cell in cells:
         background, joint = log_joint(model, seen, center_of(grid, cell), bins)
@@ -416,81 +422,3 @@ def modes_of(density: FloatArray) -> list[Mode]:
         shift = 0.0 if not math.isfinite(curvature) else 0.5 * (left - right) / curvature
         modes.append(Mode(float((top + shift) * step % TURN), mass, std))
     return sorted(modes, key=lambda mode: -mode.mass)
-
-
-# --- Yes or no: the robust observation model ---------------------------------------------------
-
-
-def peak_density(model: ClassModel, class_index: int) -> float:
-    """s_k: the greatest p(label | class, viewpoint) over labels and viewpoints.
-
-    Found by climbing from every viewpoint's mean, without trusting that a mixture peaks there.
-    """
-    best = -math.inf
-    labels = [label for (k, label) in model.likelihoods if k == class_index]
-    for label in labels:
-        mixture = model.likelihoods[class_index, label].mixture
-
-        def loss(view: FloatArray, label: int = label) -> float:
-            heading = math.atan2(-view[1], -view[0]) - view[2]
-            sighting = Sighting((), view[:2], heading)
-            pair = (class_index, label)
-            return -float(log_label_likelihood(model, pair, sighting, np.zeros(2), 0.0))
-
-        for m in range(len(mixture.weights)):
-            bearing = mixture.bearing_means[m]
-            start = np.array([*mixture.means[m], bearing if math.isfinite(bearing) else 0.0])
-            found = minimize(
-                loss, start, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12}
-            )
-            best = max(best, -float(found.fun), -loss(start))
-    return math.exp(best)
-
-
-def look_log_probability(
-    model: ClassModel,
-    class_index: int | None,
-    sighting: Sighting,
-    object_xy: FloatArray,
-    phi: FloatArray,
-    *,
-    detection_probability: float = 0.95,
-    false_alarm: float = 0.01,
-    peak: float | None = None,
-) -> FloatArray:
-    """Log P(look | class, viewpoint): each of the model's labels is a separate yes or no.
-
-    ``class_index`` None is the background; an empty label set is a look that returned nothing;
-    ``peak`` is `peak_density` if already known. Shape of ``phi``.
-    """
-    total = np.zeros(np.shape(phi))
-    if class_index is not None and peak is None:
-        peak = peak_density(model, class_index)
-    for label in range(len(model.label_names)):
-        if class_index is None or peak is None:
-            probability = np.full(np.shape(phi), false_alarm)
-        else:
-            density = label_likelihood(model, (class_index, label), sighting, object_xy, phi)
-            hit = detection_probability * density / peak
-            probability = false_alarm + (1.0 - false_alarm) * hit
-        probability = np.clip(probability, 1e-6, 1.0 - 1e-3)
-        total += np.log(probability if label in sighting.labels else 1.0 - probability)
-    return total
-
-
-def look_weights(
-    seen: Sequence[Sighting], object_xy: FloatArray, range_scale: float, direction_scale: float
-) -> FloatArray:
-    """How much each look counts beside its neighbours in range and direction, (looks,)."""
-    offsets = [s.sensor_xy - object_xy for s in seen]
-    ranges = [math.hypot(*offset) for offset in offsets]
-    directions = [math.atan2(offset[1], offset[0]) for offset in offsets]
-    weights = np.empty(len(seen))
-    for i in range(len(seen)):
-        crowd = 0.0
-        for j in range(len(seen)):
-            apart = (ranges[i] - ranges[j]) / range_scale
-            turned = wrapped(directions[i] - directions[j]) / direction_scale
-            crowd += math.exp(-0.5 * (apart**2 + turned**2))
-        weights[i] = 1.0 / crowd
-    return weights

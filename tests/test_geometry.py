@@ -223,7 +223,9 @@ def test_exp_is_smooth_where_the_series_takes_over() -> None:
         ],
         axis=-1,
     )
-    assert_allclose(exp(twists), exact, rtol=0, atol=1e-11)
+    below = turns < 1e-4
+    assert_allclose(exp(twists[below]), exact[below], rtol=0, atol=1e-15)
+    assert_allclose(exp(twists[~below]), exact[~below], rtol=0, atol=1e-12)
 
 
 # --- Along time --------------------------------------------------------------------------------

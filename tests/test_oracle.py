@@ -16,16 +16,14 @@ from oracle import (
     in_cone,
     label_likelihood,
     log_label_likelihood,
-    look_log_probability,
-    look_weights,
     modes_of,
     object_belief,
     orientations,
-    peak_density,
     rotation,
     segment_crosses_box,
     sightings,
 )
+from oracle_looks import look_log_probability, look_weights, peak_density
 
 from mclass.footprint import Grid
 
