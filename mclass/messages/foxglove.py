@@ -58,6 +58,12 @@ _MESSAGES: Mapping[str, str] = {
         "Pose pose = 1; Vector3 scale = 2; Color color = 3; bool override_color = 4; "
         "string url = 5; string media_type = 6; bytes data = 7;"
     ),
+    "Odometry": (
+        "google.protobuf.Timestamp timestamp = 1; string frame_id = 2; "
+        "string body_frame_id = 3; Pose pose = 4; Vector3 linear_velocity = 5; "
+        "Vector3 angular_velocity = 6; repeated double pose_covariance = 7; "
+        "repeated double velocity_covariance = 8; repeated KeyValuePair metadata = 9;"
+    ),
     "PackedElementField": (
         "enum NumericType { UNKNOWN = 0; UINT8 = 1; INT8 = 2; UINT16 = 3; INT16 = 4; "
         "UINT32 = 5; INT32 = 6; FLOAT32 = 7; FLOAT64 = 8; } "
