@@ -10,11 +10,12 @@ import pytest
 from models import lopsided_model
 from scipy.stats import norm
 
+from mclass import transforms
 from mclass.errors import ModelError
 from mclass.geometry import compose, relative_pose, wrap_angle
 from mclass.model import Model
 from mclass.records import FloatArray
-from mclass.simulation.camera import azimuths, mount_rotation, planar_mount, project_boxes
+from mclass.simulation.camera import azimuths, mount_quaternion, planar_mount, project_boxes
 from mclass.simulation.detections import Detections, to_measurements
 from mclass.simulation.motion import plan_path, run_odometry
 from mclass.simulation.recognition import Looks, correlated_uniforms, label_probabilities
@@ -210,7 +211,7 @@ def test_an_object_is_seen_while_half_of_it_is_in_the_image(
 def test_pixels_of_a_tilted_camera_point_back_to_where_they_came_from() -> None:
     camera = Camera(mount_rpy=(0.15, 0.3, -0.5), mount_xyz=(0.0, 0.0, 0.0))
     points = np.array([[2.0, -1.0, -0.4], [1.0, -0.9, -0.1], [3.0, -0.2, -1.5]])
-    body = points @ mount_rotation(camera)
+    body = transforms.rotate(transforms.conjugate(mount_quaternion(camera)), points)
     fx, fy, cx, cy = camera.intrinsics
     columns, rows = cx - fx * body[:, 1] / body[:, 0], cy - fy * body[:, 2] / body[:, 0]
     np.testing.assert_allclose(
@@ -219,7 +220,8 @@ def test_pixels_of_a_tilted_camera_point_back_to_where_they_came_from() -> None:
 
 
 def test_positive_pitch_looks_down_and_positive_yaw_to_the_left() -> None:
-    axis = mount_rotation(Camera(mount_rpy=(0.0, 0.2, 0.5)))[:, 0]
+    mount = mount_quaternion(Camera(mount_rpy=(0.0, 0.2, 0.5)))
+    axis = transforms.rotate(mount, np.array([1.0, 0.0, 0.0]))
     np.testing.assert_allclose(
         axis, [math.cos(0.5) * math.cos(0.2), math.sin(0.5) * math.cos(0.2), -math.sin(0.2)]
     )

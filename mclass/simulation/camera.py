@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mclass import transforms
 from mclass.records import BoolArray, FloatArray
 from mclass.simulation.scenario import Camera, SceneObject
 
@@ -14,26 +15,14 @@ _LEAST_VISIBLE = 0.5
 """Share of an object's box that must lie in the image."""
 
 
-def mount_rotation(camera: Camera) -> FloatArray:
-    """Rotation of the camera body (x forward, y left, z up) on the robot, (3, 3)."""
-    roll, pitch, yaw = camera.mount_rpy
-    cr, sr, cp, sp, cy, sy = (
-        *(np.cos(roll), np.sin(roll)),
-        *(np.cos(pitch), np.sin(pitch)),
-        *(np.cos(yaw), np.sin(yaw)),
-    )
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+def mount_quaternion(camera: Camera) -> FloatArray:
+    """Rotation of the camera body (x forward, y left, z up) on the robot, x, y, z, w, (4,)."""
+    return transforms.from_roll_pitch_yaw(np.array(camera.mount_rpy))
 
 
 def planar_mount(camera: Camera) -> FloatArray:
     """Pose of the sensor on the robot in the ground plane: x, y, azimuth of the axis, (3,)."""
-    axis = mount_rotation(camera)[:, 0]
+    axis = transforms.rotate(mount_quaternion(camera), np.array([1.0, 0.0, 0.0]))
     return np.array([camera.mount_xyz[0], camera.mount_xyz[1], np.arctan2(axis[1], axis[0])])
 
 
@@ -62,7 +51,8 @@ def project_boxes(
         ],
         axis=-1,
     )
-    body = (robot - np.array(camera.mount_xyz)) @ mount_rotation(camera)
+    back = transforms.conjugate(mount_quaternion(camera))
+    body = transforms.rotate(back, robot - np.array(camera.mount_xyz))
     fx, fy, cx, cy = camera.intrinsics
     depth = np.maximum(body[..., 0], _NEAREST_DEPTH)
     columns = (cx - fx * body[..., 1] / depth).reshape(len(offsets), len(objects), 8)
@@ -85,7 +75,7 @@ def azimuths(camera: Camera, columns: FloatArray, rows: FloatArray) -> FloatArra
     """Directions of pixels on the ground plane, from the robot's heading [rad]."""
     fx, fy, cx, cy = camera.intrinsics
     body = np.stack([np.ones_like(columns), (cx - columns) / fx, (cy - rows) / fy], axis=-1)
-    robot = body @ mount_rotation(camera).T
+    robot = transforms.rotate(mount_quaternion(camera), body)
     return np.asarray(np.arctan2(robot[..., 1], robot[..., 0]))
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mclass.errors import ModelError
 from mclass.geometry import (
     compose,
     integrate_twists,
@@ -20,7 +21,11 @@ from mclass.records import FloatArray, IntArray
 from mclass.simulation.camera import planar_mount
 from mclass.simulation.scenario import CircleAround, DriveTo, Odometry, Scenario
 
+MAX_DAYS = 30
+"""Longest drive: more is a slip of units."""
+
 _SECOND_NS = 1_000_000_000
+_DAY_NS = 86_400 * _SECOND_NS
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,11 @@ class _Driver:
 
 
 def plan_path(scenario: Scenario) -> Path:
-    """The motion that the trajectory's stops describe."""
+    """The motion that the trajectory's stops describe.
+
+    Raises:
+        ModelError: If it takes longer than `MAX_DAYS`.
+    """
     pose_robot_sensor = planar_mount(scenario.camera)
     objects = {item.object_id: item for item in scenario.objects}
     driver = _Driver(scenario.trajectory.speed, scenario.trajectory.turn_speed)
@@ -127,6 +136,11 @@ def plan_path(scenario: Scenario) -> Path:
             if stop.labels:
                 look_times.append((arrived + driver.times[-1]) // 2)
                 look_stops.append(index)
+    if driver.times[-1] > MAX_DAYS * _DAY_NS:
+        raise ModelError(
+            f"{scenario.name}: the drive would take {driver.times[-1] / _DAY_NS:,.0f} days, more "
+            f"than {MAX_DAYS}. Check the positions' unit, the speed and the waits."
+        )
     return Path(
         times_ns=np.array(driver.times, dtype=np.int64),
         poses_world_robot=np.array(driver.poses),

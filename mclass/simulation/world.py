@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mclass.errors import ModelError
 from mclass.geometry import compose, interpolate_poses, relative_pose, wrap_angle
 from mclass.records import BoolArray, FloatArray, Frames, IntArray, LabelMeasurements, PoseTrack
 from mclass.simulation.camera import azimuths, planar_mount, project_boxes
@@ -24,6 +25,9 @@ from mclass.simulation.detections import (
 from mclass.simulation.motion import Path, plan_path, run_odometry
 from mclass.simulation.recognition import Looks, draw_labels, label_probabilities
 from mclass.simulation.scenario import Scenario, Script
+
+MAX_MESSAGES = 2_000_000
+"""Most of one kind in a drive."""
 
 _SECOND_NS = 1_000_000_000
 _ODOMETRY, _DETECTION, _CLUTTER, _CAMERA = range(4)
@@ -85,7 +89,8 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Drive:
         The same drive for the same scenario and seed.
 
     Raises:
-        ModelError: If a scripted look does not have its object in the image.
+        ModelError: If a scripted look does not have its object in the image, or the drive
+            is too long.
     """
     seed = scenario.seed if seed is None else seed
     path = plan_path(scenario)
@@ -153,6 +158,11 @@ def simulate_measurements(
 def _ticks(rate: float, end_ns: int, offset: float = 0.0) -> IntArray:
     """Times [ns] of a steady rate from ``offset`` periods after 0 up to the end."""
     count = int(np.floor(end_ns * 1e-9 * rate - offset + 1e-9)) + 1
+    if count > MAX_MESSAGES:
+        raise ModelError(
+            f"{count:,} messages at {rate:g} a second are more than {MAX_MESSAGES:,}. "
+            "Lower the rate, or make the drive shorter."
+        )
     return np.round((np.arange(count) + offset) * (_SECOND_NS / rate)).astype(np.int64)
 
 
