@@ -1,0 +1,1 @@
+"""Model files: YAML with line numbers to checked dataclasses."""

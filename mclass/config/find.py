@@ -1,0 +1,41 @@
+"""Which model file to use when none is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mclass.config.model_file import load_model, parse_model
+from mclass.errors import ConfigError, ConfigProblem
+from mclass.model import Model
+
+MODEL_FILE_NAME = "mclass.yaml"
+"""Name of a model file, or of an attachment holding one, that is found by itself."""
+
+
+def find_model_file(log: Path) -> Path | None:
+    """``mclass.yaml`` beside the log or, failing that, in the working directory."""
+    candidates = (log.parent / MODEL_FILE_NAME, Path(MODEL_FILE_NAME))
+    return next((path for path in candidates if path.exists()), None)
+
+
+def find_model(log: Path, attachment: str | bytes | None = None) -> Model:
+    """The model for a log when the user names none: a file found, else the log's own.
+
+    Args:
+        log: Path of the log.
+        attachment: Content of the log's attachment `MODEL_FILE_NAME`, None if it has none.
+
+    Raises:
+        ConfigError: If there is no model, or if the one found is wrong; a wrong file is never
+            passed over for the next candidate.
+    """
+    path = find_model_file(log)
+    if path is not None:
+        return load_model(path)
+    if attachment is not None:
+        return parse_model(attachment, f"{log.name}#{MODEL_FILE_NAME}")
+    message = (
+        f"no model: there is no {MODEL_FILE_NAME} beside the log, in the working directory or "
+        "attached to the log. Name one with -c, or write one with `mclass init`"
+    )
+    raise ConfigError([ConfigProblem(str(log), 0, 0, "", message)])
