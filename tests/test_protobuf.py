@@ -30,6 +30,7 @@ FOXGLOVE = (
     "foxglove.FrameTransforms",
     "foxglove.CameraCalibration",
     "foxglove.ImageAnnotations",
+    "foxglove.Odometry",
 )
 
 
@@ -285,6 +286,14 @@ def test_json_that_is_no_message_is_refused(data: bytes) -> None:
 def test_json_refuses_nan() -> None:
     with pytest.raises(LogError, match=r"mclass\.Objects cannot hold"):
         proto_json.codec("mclass.Objects").encode({"objects": [{"x": float("nan")}]})
+
+
+def test_json_says_null_for_infinity() -> None:
+    codec = proto_json.codec("mclass.Objects")
+    data = codec.encode({"objects": [{"x_std": np.inf}]})
+    assert json.loads(data)["objects"][0]["x_std"] is None
+    decoded = codec.decode(data)["objects"][0]
+    assert (decoded["x_std"], decoded["y_std"]) == (np.inf, 0.0)
 
 
 @pytest.mark.parametrize("name", ["Detections", "Objects"])

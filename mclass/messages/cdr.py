@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -49,9 +50,11 @@ class CdrCodec:
         """Prepare for the message ``name`` of ``definitions`` (key ``package/Type``)."""
         self.name = name
         self._definitions = definitions
-        self._numbers = {key: _single_primitive(definitions, key) for key in definitions}
         self._writers: dict[str, _Write] = {}
-        self._write = self._message_writer(name)
+
+    @cached_property
+    def _write(self) -> _Write:
+        return self._message_writer(self.name)
 
     def encode(self, value: Value) -> bytes:
         """Bytes of a message, the encapsulation header included.
@@ -91,8 +94,8 @@ class CdrCodec:
             for field in self._definitions[name].fields
         ]
         known = frozenset(field_name for field_name, _, _ in fields)
-        numbers = self._numbers[name]
-        number_writer = None if numbers is None else _array_writer(numbers[0], numbers[1])
+        numbers = _single_primitive(self._definitions, name)
+        number_writer = None if numbers is None else _array_writer(*numbers)
 
         def write_fields(out: bytearray, value: Value) -> None:
             for field_name, write, default in fields:
@@ -138,7 +141,10 @@ class CdrCodec:
     def _sequence_writer(self, field: Field, write: _Write) -> _Write:
         """Writer of several strings or messages."""
         expected = field.array
-        primitive, width = self._numbers.get(field.type) or ("", 0)
+        numbers = None
+        if field.type in self._definitions:
+            numbers = _single_primitive(self._definitions, field.type)
+        primitive, width = numbers or ("", 0)
         rows_writer = _array_writer(primitive, None) if primitive else None
 
         def write_sequence(out: bytearray, values: Any) -> None:

@@ -60,8 +60,8 @@ _MESSAGES: Mapping[str, str] = {
     ),
     "Odometry": (
         "google.protobuf.Timestamp timestamp = 1; string frame_id = 2; "
-        "string body_frame_id = 3; Pose pose = 4; Vector3 linear_velocity = 5; "
-        "Vector3 angular_velocity = 6; repeated double pose_covariance = 7; "
+        "string body_frame_id = 3; Pose pose = 4; optional Vector3 linear_velocity = 5; "
+        "optional Vector3 angular_velocity = 6; repeated double pose_covariance = 7; "
         "repeated double velocity_covariance = 8; repeated KeyValuePair metadata = 9;"
     ),
     "PackedElementField": (

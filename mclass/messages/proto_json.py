@@ -1,13 +1,15 @@
 """JSON form of the messages that protobuf files declare, as Foxglove writes it.
 
 Field names stay as they are; 64-bit integers are strings, which JavaScript would round
-otherwise; bytes are base64; a timestamp or duration is ``{"sec": ..., "nsec": ...}``.
+otherwise; bytes are base64; a timestamp or duration is ``{"sec": ..., "nsec": ...}``; null
+stands for infinity, for which JSON has no number.
 """
 
 from __future__ import annotations
 
 import base64
 import json
+import math
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
@@ -46,7 +48,7 @@ class JsonCodec:
         """Bytes of a message; see `protobuf.ProtobufCodec.encode` for values.
 
         Raises:
-            LogError: If a value does not fit its field; JSON holds no NaN and no infinity.
+            LogError: If a value does not fit its field, or is NaN or minus infinity.
         """
         try:
             return self._encode(self.name, value)
@@ -97,7 +99,8 @@ class JsonCodec:
             if not isinstance(content, str):
                 raise TypeError(f"{field.name} takes text, not {type(content).__name__}")
         elif field.type in _REAL:
-            content = float(content or 0.0)
+            content = float(0.0 if content is None else content)
+            content = None if content == math.inf else content
         elif field.type == _F.TYPE_BOOL:
             content = bool(content)
         else:
@@ -114,7 +117,10 @@ class JsonCodec:
         names = _TIMES.get(name, {})
         message = {}
         for field in self._declared[name].field:
-            given = content.get(names.get(field.name, field.name))
+            key = names.get(field.name, field.name)
+            given = content.get(key)
+            if given is None and key in content and field.type in _REAL:
+                given = math.inf
             if field.label != _F.LABEL_REPEATED:
                 message[field.name] = self._value(field, given)
                 continue
