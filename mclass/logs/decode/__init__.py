@@ -1,0 +1,5 @@
+"""From the messages of a log to columns of numbers and strings, whatever their encoding."""
+
+from mclass.logs.decode.base import ChannelDecoder, Column, Columns
+
+__all__ = ["ChannelDecoder", "Column", "Columns"]

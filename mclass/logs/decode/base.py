@@ -1,0 +1,173 @@
+"""What every encoding offers: columns of values out of a batch of messages."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mclass.errors import LogError
+from mclass.records import BoolArray, IntArray
+
+if TYPE_CHECKING:
+    from mclass.logs.reader import ChannelInfo, MessageBatch
+
+MAX_LEAVES = 10_000
+
+# Fewer cursors than this are faster moved by plain Python than by array operations.
+NARROW = 24
+
+
+@dataclass(frozen=True)
+class Column:
+    """All values of one leaf in a batch.
+
+    Attributes:
+        values: One row for each message, or each innermost element when the path has
+            ``[]``. By kind: ``float`` float64, ``int`` int64 (uint64 stays unsigned), ``bool``
+            bool, ``time`` int64 [ns], ``string`` and ``bytes`` objects. Numbers directly in a
+            sequence (``D[]``) and fixed arrays of numbers, (n, size), keep their own width.
+        offsets: One array for every ``[]`` of the path, outermost first. Elements of message
+            ``i`` at the first level are ``offsets[0][i]:offsets[0][i + 1]``, and so on inwards.
+    """
+
+    values: npt.NDArray[Any]
+    offsets: tuple[IntArray, ...] = ()
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The wanted leaves of a batch.
+
+    Attributes:
+        rows: Indices, in the batch, of the messages that could be decoded, (n,), increasing.
+        values: A column for each wanted path; its messages are those of ``rows``.
+        failures: Number of messages left out, by reason.
+    """
+
+    rows: IntArray
+    values: Mapping[str, Column]
+    failures: Mapping[str, int] = field(default_factory=dict)
+
+
+class DamagedError(Exception):
+    """Some messages of a batch contradict their schema; never leaves this package.
+
+    ``found`` holds reasons and the indices of the messages that they apply to.
+    """
+
+    def __init__(self, found: Sequence[tuple[str, IntArray]]) -> None:
+        self.found = tuple(found)
+        super().__init__(", ".join(reason for reason, _ in found))
+
+    @property
+    def messages(self) -> IntArray:
+        """Indices of all messages found, repeated if found twice."""
+        return np.concatenate([messages for _, messages in self.found])
+
+
+class CutError(Exception):
+    """The reason why one message cannot be read; never leaves this package."""
+
+
+def demand(sound: BoolArray, messages: IntArray, reason: str) -> None:
+    """Raise ``DamagedError`` for the messages of those cursors that are not sound."""
+    if not sound.all():
+        raise DamagedError([(reason, messages[~sound])])
+
+
+class ChannelDecoder(ABC):
+    """Turns batches of one channel's messages into columns."""
+
+    @staticmethod
+    def for_channel(channel: ChannelInfo) -> ChannelDecoder:
+        """Decoder for the channel's encoding, by the schema that the log embeds.
+
+        Raises:
+            LogError: If the encoding is not known or the schema cannot be used.
+        """
+        # Imported when met: a log without protobuf channels need not load protobuf.
+        encodings = (channel.message_encoding, channel.schema_encoding)
+        try:
+            if encodings in (("cdr", "ros2msg"), ("ros1", "ros1msg")):
+                from mclass.logs.decode.ros import RosDecoder  # noqa: PLC0415
+
+                return RosDecoder(channel)
+            if encodings == ("protobuf", "protobuf"):
+                from mclass.logs.decode.protobuf import ProtobufDecoder  # noqa: PLC0415
+
+                return ProtobufDecoder(channel)
+            if channel.message_encoding == "json":
+                from mclass.logs.decode.json import JsonDecoder  # noqa: PLC0415
+
+                return JsonDecoder(channel)
+        except LogError as error:
+            raise LogError(str(error), topic=channel.topic) from error
+        raise LogError(
+            f"messages encoded as {channel.message_encoding!r} with a schema "
+            f"{channel.schema_name!r} in {channel.schema_encoding!r} cannot be decoded. Known: "
+            "cdr with ros2msg, ros1 with ros1msg, protobuf, json.",
+            topic=channel.topic,
+        )
+
+    @property
+    @abstractmethod
+    def paths(self) -> Mapping[str, str]:
+        """Kind of every leaf by its path, in the order of the schema.
+
+        Kinds are ``float``, ``int``, ``string``, ``bool``, ``bytes`` and ``time``. A path names
+        fields joined by dots, with ``[]`` behind each sequence; a fixed array of numbers is one
+        leaf, as is a stamp. Durations are ``int`` [ns], enumerations ``int``.
+        """
+
+    def learn(self, batch: MessageBatch) -> None:  # noqa: B027
+        """Add the paths that the schema leaves out, where messages name their own fields.
+
+        Only JSON does; every other encoding ignores this.
+        """
+
+    def columns(self, batch: MessageBatch, wanted: Sequence[str]) -> Columns:
+        """Decode the wanted leaves of all messages of a batch.
+
+        Messages that contradict their schema are left out and counted, never an error.
+
+        Args:
+            batch: Messages of this channel.
+            wanted: Keys of ``paths``.
+
+        Raises:
+            KeyError: If a wanted path is not in the schema.
+        """
+        known = self.paths
+        for path in wanted:
+            if path not in known:
+                raise KeyError(path)
+        rows = np.arange(len(batch.offsets), dtype=np.int64)
+        failures: dict[str, int] = {}
+        while True:
+            try:
+                values = self._decode(batch, rows, tuple(dict.fromkeys(wanted)))
+            except DamagedError as damage:  # noqa: PERF203
+                # Each round removes all that fail at one place of the schema, so rounds are few.
+                good = np.ones(len(rows), dtype=np.bool_)
+                for reason, messages in damage.found:
+                    fresh = np.unique(messages[good[messages]])
+                    good[fresh] = False
+                    failures[reason] = failures.get(reason, 0) + len(fresh)
+                rows = rows[good]
+            else:
+                return Columns(rows, values, {key: n for key, n in failures.items() if n})
+
+    @abstractmethod
+    def _decode(
+        self, batch: MessageBatch, rows: IntArray, wanted: tuple[str, ...]
+    ) -> dict[str, Column]:
+        """Columns of the given messages, all of which must be sound.
+
+        Raises:
+            DamagedError: With indices into ``rows``, if any message is not.
+        """
