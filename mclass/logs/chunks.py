@@ -104,6 +104,10 @@ class ChunkContent:
     unusable: int
     indexed: bool
 
+    def record(self, start: int) -> bytes:
+        """The whole record at ``start``."""
+        return self.data[start : start + RECORD_HEAD + record_head(self.data, start)[1]]
+
     def counts(self) -> dict[int, int]:
         """Messages of each channel."""
         channels, counts = np.unique(self.heads["channel"], return_counts=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from dataclasses import dataclass, field
 
@@ -90,25 +91,23 @@ class LogIndex:
 
     def define(self, content: ChunkContent) -> None:
         """Take over the schemas and channels that stand in a chunk."""
-        data = content.data
         for start in content.definitions:
-            length = int.from_bytes(data[start + 1 : start + RECORD_HEAD], "little")
-            self.define_record(data[start : start + RECORD_HEAD + length])
+            # What a broken one leaves undefined is counted as lost in the end.
+            with contextlib.suppress(MalformedError):
+                self.define_record(content.record(start))
 
     def define_record(self, record: bytes) -> None:
         """Take over one whole schema or channel record; the first of an id stays.
 
-        A broken one is passed over: what lacks a definition in the end is counted as lost.
+        Raises:
+            MalformedError: If it is broken.
         """
-        try:
-            if record[0] == Opcode.SCHEMA:
-                schema = parse_schema(record)
-                self.schemas.setdefault(schema.id, schema)
-            else:
-                channel = parse_channel(record)
-                self.channels.setdefault(channel.id, channel)
-        except MalformedError:
-            return
+        if record[0] == Opcode.SCHEMA:
+            schema = parse_schema(record)
+            self.schemas.setdefault(schema.id, schema)
+        else:
+            channel = parse_channel(record)
+            self.channels.setdefault(channel.id, channel)
 
     def add_definitions(self, summary: Summary) -> None:
         """Take over the schemas and channels of a summary where there are none yet."""
@@ -189,12 +188,13 @@ class Walk:
             return None
         if opcode == Opcode.CHUNK:
             return self._chunk(position, following)
-        self._keep(position, following)
         try:
             self._other_record(opcode, position, following - position)
         except MalformedError:
             length = following - position
             self._damage.lose("a record is broken", position, n_bytes=length, messages=0)
+        else:
+            self._keep(position, following)
         return following
 
     def _other_record(self, opcode: int, position: int, length: int) -> None:
@@ -204,7 +204,7 @@ class Walk:
         elif length > _MAX_DEFINITION:
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
                 raise MalformedError("too long")
-        elif opcode == Opcode.HEADER and not index.has_header:
+        elif opcode == Opcode.HEADER and position == len(MAGIC):
             index.profile, index.library = parse_header(self._source.peek(position, length))
             index.has_header = True
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):

@@ -1,0 +1,210 @@
+"""A file that appears under its name complete or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import stat
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from mclass.errors import LogError
+from mclass.logs.source import Source
+
+_COPY_STEP = 1 << 26
+_READ_STEP = 1 << 20
+_NAME_CHARACTERS = 40
+_NO_HARD_LINKS = frozenset(
+    {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL, errno.EXDEV}
+)
+
+
+class PendingFile:
+    """Written as ``.NAME.part-PID`` in the output's folder, renamed when it is whole.
+
+    A killed process leaves such a hidden part file at most, never one under the output's name.
+
+    Args:
+        output: Where the file is to appear; a symbolic link is followed.
+        overwrite: Whether a file that is there may be replaced.
+        source: A log that must stay as it is.
+
+    Raises:
+        LogError: If nothing can or may be written there.
+    """
+
+    def __init__(self, output: Path, *, overwrite: bool, source: Source | None) -> None:
+        self._output = output
+        self._overwrite = overwrite
+        self._source = source
+        self._file = -1
+        self._part: Path | None = None
+        with self._errors():
+            self._target = Path(os.path.realpath(output))
+            self._check()
+
+    def open(self) -> None:
+        """Create the part file.
+
+        Raises:
+            LogError: If the folder is missing, read-only or full.
+        """
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+        name = f".{self._target.name[:_NAME_CHARACTERS]}.part-{os.getpid()}"
+        with self._errors():
+            for attempt in range(1000):
+                part = self._target.with_name(name + (f"-{attempt}" if attempt else ""))
+                try:
+                    self._file = os.open(part, flags, 0o666)
+                except FileExistsError:
+                    # Left by a killed run that had the same number.
+                    continue
+                self._part = part
+                return
+        raise LogError(f"its folder is full of files {name}-*. Delete them.", path=self._name)
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Append bytes.
+
+        Raises:
+            LogError: If the disk is full or fails.
+        """
+        view = memoryview(data)
+        with self._errors():
+            while view:
+                view = view[os.write(self._file, view) :]
+
+    def copy(self, source: Source, start: int, end: int, done: Callable[[int], None]) -> None:
+        """Append a range of bytes of a log, inside the kernel where it can.
+
+        Args:
+            source: The log.
+            start: First byte.
+            end: Byte after the last one.
+            done: Called now and then with the place reached.
+
+        Raises:
+            LogError: If the disk is full or fails, or the log lost bytes in the meantime.
+        """
+        position = start
+        while position < end and (copied := self._copy_in_kernel(source, position, end)):
+            position += copied
+            done(position)
+        while position < end:
+            block = source.read(position, min(_READ_STEP, end - position))
+            if not block:
+                raise LogError("became shorter while it was copied.", path=source.name)
+            self.write(block)
+            position += len(block)
+            done(position)
+
+    def publish(self) -> None:
+        """Flush everything to the disk and give the file its name.
+
+        Raises:
+            LogError: If the disk is full or fails, or a file of that name has appeared.
+        """
+        assert self._part is not None
+        with self._errors():
+            os.fsync(self._file)
+            self._close()
+            self._check()
+            if self._overwrite:
+                os.replace(self._part, self._target)
+            else:
+                self._link()
+        self._sync_folder()
+
+    def discard(self) -> None:
+        """Remove the part file, if there still is one."""
+        self._close()
+        if self._part is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(self._part)
+            self._part = None
+
+    @property
+    def _name(self) -> str:
+        return str(self._output)
+
+    def _check(self) -> None:
+        """Refuse an output that is the input, a folder, a device, or there already."""
+        if not self._target.parent.is_dir():
+            folder = self._target.parent
+            raise LogError(f"there is no folder {folder}. Create it first.", path=self._name)
+        try:
+            found = os.stat(self._target)
+        except FileNotFoundError:
+            return
+        if self._source is not None and os.path.samestat(found, os.fstat(self._source.fileno())):
+            raise LogError(
+                "is the input itself, which is never changed. Choose another output.",
+                path=self._name,
+            )
+        if not stat.S_ISREG(found.st_mode):
+            raise LogError("is there and no file. Choose another output.", path=self._name)
+        if not self._overwrite:
+            self._refuse_existing()
+
+    def _refuse_existing(self) -> None:
+        raise LogError(
+            "exists already. Choose another output, or add --overwrite.", path=self._name
+        )
+
+    def _link(self) -> None:
+        """Give the file its name unless another has it: a link fails then, a rename would not."""
+        assert self._part is not None
+        try:
+            os.link(self._part, self._target)
+        except FileExistsError:
+            self._refuse_existing()
+        except OSError as error:
+            if error.errno not in _NO_HARD_LINKS:
+                raise
+            os.rename(self._part, self._target)
+
+    def _copy_in_kernel(self, source: Source, position: int, end: int) -> int:
+        """Bytes copied; 0 where the system cannot do it."""
+        if not hasattr(os, "copy_file_range"):
+            return 0
+        count = min(_COPY_STEP, end - position)
+        try:
+            return os.copy_file_range(source.fileno(), self._file, count, offset_src=position)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG):
+                raise self._as_log_error(error) from error
+            return 0
+
+    def _close(self) -> None:
+        if self._file >= 0:
+            file, self._file = self._file, -1
+            os.close(file)
+
+    def _sync_folder(self) -> None:
+        # Some file systems cannot; the file itself is safe by then.
+        with contextlib.suppress(OSError):
+            folder = os.open(self._target.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise self._as_log_error(error) from error
+        except ValueError as error:
+            raise LogError(f"cannot be a file name: {error}.", path=self._name) from error
+
+    def _as_log_error(self, error: OSError) -> LogError:
+        advice = {
+            errno.ENOSPC: " Make room on the disk or choose another output.",
+            errno.EDQUOT: " Your quota is used up; choose another output.",
+            errno.EACCES: " Choose an output in a folder that you may write to.",
+            errno.EROFS: " Choose an output on another disk.",
+        }.get(error.errno or 0, "")
+        reason = (error.strerror or str(error)).lower()
+        return LogError(f"cannot be written: {reason}.{advice}", path=self._name)

@@ -1,0 +1,416 @@
+"""Writing MCAP logs: another log's data carried over as it is, then new channels.
+
+The data section of the source is copied byte for byte, neither decoded nor compressed again;
+new chunks, attachments and metadata follow, then one summary over old and new. Of a log that
+is not whole, all that holds is carried over:
+
+- Whole records are copied as they are. So is a chunk whose content is damaged: it is not
+  opened, and what others can still get out of it is not lost.
+- Bytes that are no records are left out, since a reader could not get past them.
+- Messages outside of chunks are put into uncompressed chunks of their own, record for record
+  the same, because a log with both would hide them from readers that go by the chunk index.
+  Likewise the whole messages of a chunk that the end of the file cuts off.
+- Attachments and metadata stay even if new ones bear the same name; readers such as
+  ``LogReader`` give the last one.
+
+The checksum of the data section is written when it costs nothing: for a new log, and for a
+copied one whose own checksum is there to be continued. Else it is 0, "not available": it would
+mean to read all that is otherwise copied inside the kernel.
+"""
+
+from __future__ import annotations
+
+import bisect
+import dataclasses
+import struct
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    ChunkIndex,
+    DataEnd,
+    Header,
+    Metadata,
+    MetadataIndex,
+)
+
+from mclass.errors import LogError
+from mclass.logs.chunks import ChunkEntry, ChunkLostError, Kind, read_chunk
+from mclass.logs.closing import Contents, record_bytes
+from mclass.logs.pending import PendingFile
+from mclass.logs.reader import LogReader
+from mclass.logs.source import MAGIC
+from mclass.logs.wire import (
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    ChunkHead,
+    heads_at,
+    opcodes_at,
+    pack_chunk_head,
+    pack_message_index,
+    pack_record,
+    pack_string,
+    walk,
+)
+from mclass.records import IntArray
+
+_LIBRARY = "mclass"
+_CHUNK_BYTES = 1 << 20
+_MAX_TIME = (1 << 64) - 1
+_MAX_ID = (1 << 16) - 1
+_HIDDEN_IDS = (1 << 15) - 1
+_pack_message_head = struct.Struct("<BQHIQQ").pack
+
+
+class LogWriter:
+    """A log being written; a context manager.
+
+    Under its name appears either the complete log, when the ``with`` block ends well, or
+    nothing. The same calls give the same bytes.
+
+    Args:
+        output: Path of the log.
+        source: Log whose data is carried over first; None for a new log.
+        profile: Of a new log; a source keeps its own.
+        overwrite: Whether a file of that name may be replaced.
+        progress: Called with bytes copied and bytes in all while the source is carried over.
+
+    Raises:
+        LogError: If the output cannot or may not be written, or is the source itself.
+    """
+
+    def __init__(
+        self,
+        output: str | Path,
+        *,
+        source: LogReader | None = None,
+        profile: str = "",
+        overwrite: bool = False,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> None:
+        self.path = Path(output)
+        self._source = source
+        self._profile = profile
+        self._progress = progress
+        reader_source = None if source is None else source.source
+        self._file = PendingFile(self.path, overwrite=overwrite, source=reader_source)
+        self._position = 0
+        self._crc: int | None = 0
+        self._contents = Contents()
+        self._schema_ids: dict[tuple[str, str, bytes], int] = {}
+        self._sequences: dict[int, int] = {}
+        self._last_schema_id = self._last_channel_id = 0
+        self._chunk = bytearray()
+        self._starts: list[int] = []
+
+    def __enter__(self) -> LogWriter:
+        try:
+            self._file.open()
+            self._emit(MAGIC)
+            if self._source is None or not self._source.index.has_header:
+                self._emit(record_bytes(Header(self._profile, _LIBRARY)))
+            if self._source is not None:
+                self._carry_over(self._source)
+        except BaseException:
+            self._file.discard()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+                self._file.publish()
+        finally:
+            self._file.discard()
+
+    def add_channel(
+        self,
+        topic: str,
+        message_encoding: str,
+        schema_name: str,
+        schema_encoding: str,
+        schema_data: bytes,
+        metadata: Mapping[str, str] | None = None,
+    ) -> int:
+        """Add a channel; an equal schema already in the log is used again.
+
+        Args:
+            topic: Name; not compared with the topics that the log has.
+            message_encoding: Of its messages.
+            schema_name: Message type; empty for a channel without schema.
+            schema_encoding: Of the schema.
+            schema_data: The schema.
+            metadata: Of the channel.
+
+        Returns:
+            The channel's id, for ``write``.
+
+        Raises:
+            LogError: If the log has as many channels as the format allows.
+        """
+        schema_id = self._schema_id(schema_name, schema_encoding, schema_data)
+        self._last_channel_id = channel_id = self._next_id(self._last_channel_id, topic)
+        pairs = b"".join(
+            pack_string(key) + pack_string(value) for key, value in (metadata or {}).items()
+        )
+        content = struct.pack("<HH", channel_id, schema_id)
+        content += pack_string(topic) + pack_string(message_encoding)
+        record = pack_record(Opcode.CHANNEL, content + struct.pack("<I", len(pairs)) + pairs)
+        self._contents.channels[channel_id] = record
+        self._sequences[channel_id] = 0
+        self._chunk += record
+        return channel_id
+
+    def write(
+        self,
+        channel_id: int,
+        log_time_ns: int,
+        data: bytes | bytearray | memoryview,
+        publish_time_ns: int | None = None,
+    ) -> None:
+        """Add a message to a channel of ``add_channel``.
+
+        Args:
+            channel_id: The channel.
+            log_time_ns: Log time [ns].
+            data: The message.
+            publish_time_ns: Publish time [ns]; the log time when left out.
+
+        Raises:
+            LogError: If a time is out of range, or the disk is full or fails.
+        """
+        publish_time = log_time_ns if publish_time_ns is None else publish_time_ns
+        if not (0 <= log_time_ns <= _MAX_TIME and 0 <= publish_time <= _MAX_TIME):
+            raise LogError(
+                f"a message cannot have the time {log_time_ns} ns (log) or {publish_time} ns "
+                "(publish): MCAP times start at 1970.",
+                path=str(self.path),
+            )
+        if self._chunk and len(self._chunk) + len(data) > _CHUNK_BYTES:
+            self._flush_chunk()
+        sequence = self._sequences[channel_id]
+        self._sequences[channel_id] = sequence + 1
+        self._starts.append(len(self._chunk))
+        self._chunk += _pack_message_head(
+            Opcode.MESSAGE,
+            MESSAGE_HEAD - RECORD_HEAD + len(data),
+            channel_id,
+            sequence,
+            log_time_ns,
+            publish_time,
+        )
+        self._chunk += data
+
+    def attach(self, name: str, media_type: str, data: bytes, log_time_ns: int) -> None:
+        """Add an attachment; ``log_time_ns`` [ns] is its creation time, too.
+
+        Raises:
+            LogError: If the disk is full or fails.
+        """
+        record = record_bytes(Attachment(log_time_ns, log_time_ns, name, media_type, data))
+        self._contents.attachments.append(
+            AttachmentIndex(
+                offset=self._position,
+                length=len(record),
+                log_time=log_time_ns,
+                create_time=log_time_ns,
+                data_size=len(data),
+                name=name,
+                media_type=media_type,
+            )
+        )
+        self._emit(record)
+
+    def add_metadata(self, name: str, pairs: Mapping[str, str]) -> None:
+        """Add a metadata record.
+
+        Raises:
+            LogError: If the disk is full or fails.
+        """
+        record = record_bytes(Metadata(name, dict(pairs)))
+        self._contents.metadata.append(MetadataIndex(self._position, len(record), name))
+        self._emit(record)
+
+    def _emit(self, data: bytes | bytearray | memoryview) -> None:
+        self._file.write(data)
+        self._position += len(data)
+        if self._crc is not None:
+            self._crc = zlib.crc32(data, self._crc)
+
+    def _carry_over(self, reader: LogReader) -> None:
+        """Copy the source's data section and take over its index."""
+        index = reader.index
+        contents = self._contents
+        contents.schemas = {key: index.schemas[key].raw for key in sorted(index.schemas)}
+        contents.channels = {key: index.channels[key].raw for key in sorted(index.channels)}
+        self._schema_ids = {
+            (schema.name, schema.encoding, schema.data): schema.id
+            for schema in index.schemas.values()
+            if schema.id
+        }
+        # Without a summary there may be ids in chunks that were not opened: keep clear of them.
+        hidden = 0 if index.summarised else _HIDDEN_IDS
+        self._last_schema_id = max(hidden, *index.schemas, 0)
+        self._last_channel_id = max(hidden, *index.channels, 0)
+
+        shifts = self._copy_records(reader)
+        for entry in index.chunks:
+            if entry.kind is Kind.CHUNK:
+                contents.add_chunk(_moved(entry, shifts(entry.offset)), entry.counts or {})
+        contents.chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
+        for attachment in index.attachments:
+            offset = attachment.offset + shifts(attachment.offset)
+            contents.attachments.append(dataclasses.replace(attachment, offset=offset))
+        for metadata in index.metadata:
+            offset = metadata.offset + shifts(metadata.offset)
+            contents.metadata.append(dataclasses.replace(metadata, offset=offset))
+
+    def _copy_records(self, reader: LogReader) -> Callable[[int], int]:
+        """Copy whole records; returns by how many bytes each place of the source moved."""
+        index = reader.index
+        pieces: list[tuple[int, int, ChunkEntry | None]] = [
+            *((start, end, None) for start, end in index.kept),
+            *(
+                (entry.offset, entry.offset + entry.length, entry)
+                for entry in index.chunks
+                if entry.kind is not Kind.CHUNK
+            ),
+        ]
+        starts, shifts = [], []
+        crc = index.data_crc if index.kept == [(len(MAGIC), index.data_end)] else 0
+        for start, end, loose in sorted(pieces, key=lambda piece: piece[0]):
+            if loose is not None:
+                self._wrap(reader, loose)
+                continue
+            starts.append(start)
+            shifts.append(self._position - start)
+            self._file.copy(reader.source, start, end, self._report)
+            self._position += end - start
+        self._crc = crc or None
+        return lambda offset: shifts[bisect.bisect_right(starts, offset) - 1]
+
+    def _report(self, position: int) -> None:
+        if self._progress is not None and self._source is not None:
+            self._progress(position, self._source.index.data_end)
+
+    def _wrap(self, reader: LogReader, entry: ChunkEntry) -> None:
+        """Write messages that stand in no whole chunk as a chunk, records unchanged."""
+        try:
+            content = read_chunk(reader.source, entry)
+        except ChunkLostError:
+            return
+        known = np.isin(content.heads["channel"], list(self._contents.channels))
+        if known.all() and not content.unusable:
+            self._write_chunk(content.data, content.starts, "")
+            return
+        kept = [*content.starts[known].tolist(), *content.definitions]
+        data = b"".join(content.record(start) for start in sorted(kept))
+        starts, _ = walk(data)
+        self._write_chunk(data, starts[opcodes_at(data, starts) == Opcode.MESSAGE], "")
+
+    def _schema_id(self, name: str, encoding: str, data: bytes) -> int:
+        if not name:
+            return 0
+        known = self._schema_ids.get((name, encoding, data))
+        if known is not None:
+            return known
+        self._last_schema_id = schema_id = self._next_id(self._last_schema_id, name)
+        content = struct.pack("<H", schema_id) + pack_string(name) + pack_string(encoding)
+        record = pack_record(Opcode.SCHEMA, content + struct.pack("<I", len(data)) + data)
+        self._contents.schemas[schema_id] = record
+        self._schema_ids[name, encoding, data] = schema_id
+        self._chunk += record
+        return schema_id
+
+    def _next_id(self, last: int, name: str) -> int:
+        if last >= _MAX_ID:
+            raise LogError(
+                f"there is no number left for {name}: MCAP allows 65,535 channels and schemas.",
+                path=str(self.path),
+            )
+        return last + 1
+
+    def _flush_chunk(self) -> None:
+        data = bytes(self._chunk)
+        starts = np.array(self._starts, dtype=np.int64)
+        self._chunk, self._starts = bytearray(), []
+        if len(starts):
+            self._write_chunk(data, starts, "zstd")
+        else:
+            # Definitions alone: an empty chunk would say nothing more.
+            self._emit(data)
+
+    def _write_chunk(self, data: bytes, starts: IntArray, compression: str) -> None:
+        """Write records as a chunk with its message indexes; nothing if there are no messages."""
+        if not len(starts):
+            self._emit(data)
+            return
+        heads = heads_at(data, starts)
+        times = heads["log_time"]
+        packed = zstandard.ZstdCompressor().compress(data) if compression else data
+        head = ChunkHead(
+            int(times.min()),
+            int(times.max()),
+            len(data),
+            zlib.crc32(data),
+            compression,
+            0,
+            len(packed),
+        )
+        offset = self._position
+        self._emit(pack_chunk_head(head))
+        self._emit(packed)
+        length = self._position - offset
+        places, counts = {}, {}
+        for channel in np.unique(heads["channel"]).tolist():
+            rows = np.flatnonzero(heads["channel"] == channel)
+            places[channel], counts[channel] = self._position, len(rows)
+            self._emit(pack_message_index(channel, times[rows], starts[rows]))
+        chunk = ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=offset,
+            compression=compression,
+            compressed_size=len(packed),
+            message_end_time=head.end_time,
+            message_index_length=self._position - offset - length,
+            message_index_offsets=places,
+            message_start_time=head.start_time,
+            uncompressed_size=len(data),
+        )
+        self._contents.add_chunk(chunk, counts)
+
+    def _finish(self) -> None:
+        if self._chunk:
+            self._flush_chunk()
+        self._emit(record_bytes(DataEnd(self._crc or 0)))
+        self._contents.write_end(self._file.write, self._position)
+
+
+def _moved(entry: ChunkEntry, shift: int) -> ChunkIndex:
+    """Chunk index of a copied chunk."""
+    return ChunkIndex(
+        chunk_length=entry.length,
+        chunk_start_offset=entry.offset + shift,
+        compression=entry.compression,
+        compressed_size=entry.compressed_size,
+        message_end_time=entry.end_time,
+        message_index_length=entry.index_length,
+        message_index_offsets={
+            channel: offset + shift for channel, offset in entry.index_offsets.items()
+        },
+        message_start_time=entry.start_time,
+        uncompressed_size=entry.uncompressed_size,
+    )
