@@ -162,21 +162,17 @@ class Engine:
         shape = (rows, len(term.classes), self.bins)
         if len(pairs.ranges) == 0:
             return np.zeros(shape)
-        table = self._table(term, float(pairs.ranges.min()), float(pairs.ranges.max()))
+        table = self._table(term, float(pairs.ranges.max()))
         weights = table.weights(pairs.starts, pairs.ranges, pairs.directions, pairs.scale)
         return _product(weights, table.values).reshape(shape)
 
-    def _table(self, term: Term, nearest: float, farthest: float) -> LikelihoodTable:
-        """A table for the range limits, or a wider one where a footprint does not limit."""
-        low = min(self.pointing.min_range, nearest)
-        # Whole powers of two beyond the limit, so that few tables serve all distances.
+    def _table(self, term: Term, farthest: float) -> LikelihoodTable:
+        """A table that reaches the maximal range, doubled as often as a pair lies beyond."""
         level = max(0, int(np.ceil(np.log2(max(farthest / self.pointing.max_range, 1.0)))))
-        near = low < self.pointing.min_range
-        key = (term.label, 2 * level + near)
+        key = (term.label, level)
         if key not in self._tables:
-            limit = self.pointing.max_range * 2.0**level
-            start = 0.0 if near else self.pointing.min_range
-            self._tables[key] = build_table(term, self.bins, start, limit)
+            reach = self.pointing.max_range * 2.0**level
+            self._tables[key] = build_table(term, self.bins, self.pointing.min_range, reach)
         return self._tables[key]
 
 

@@ -22,7 +22,8 @@ from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.results import BeliefBlock, ObjectEstimate
 from mclass.summary import NEGLIGIBLE, Readout
 
-_BLOCK_BYTES = 64 * 2**20
+_SHORTEST_BLOCK = 4
+_LONGEST_BLOCK = 64
 _ROWS_AT_ONCE = 256
 
 
@@ -104,8 +105,8 @@ class ObjectFilter:
             if not kept.all():
                 self._keep(np.flatnonzero(kept))
                 last_candidate = last_candidate[kept]
-            cell_bytes = 8 * self.engine.n_classes * self.engine.bins * len(last_candidate)
-            part = rows[start : start + int(np.clip(_BLOCK_BYTES // cell_bytes, 1, 64))]
+            # The belief narrows fast at first: short blocks let cells go early.
+            part = rows[start : start + int(np.clip(start, _SHORTEST_BLOCK, _LONGEST_BLOCK))]
             for offset, readout in enumerate(self._block(part)):
                 yield Step(int(part[offset]), start + offset + 1, readout)
             start += len(part)
@@ -164,12 +165,13 @@ class ObjectFilter:
             each.background.reshape(shape), axis=1
         )
         penalty = np.where(candidate[active], misses[active] * self.log_outside, -np.inf)
+        log_outer = self.log_priors + penalty[..., None]
         log_joint = np.concatenate([background[..., None], log_mean_exp(classes)], axis=-1)
-        log_joint += self.log_priors + penalty[..., None]
+        log_joint += log_outer
         centers = self.candidates.centers[active]
         self._total, self._hits, self._misses = after, hits[:, -1], misses[:, -1]
         for t in range(len(rows)):
-            yield Readout(classes[:, t], log_joint[:, t], centers)
+            yield Readout(classes[:, t], log_outer[:, t, 1:], log_joint[:, t], centers)
 
     def _evidence(self, pairs: Pairs) -> Evidence:
         exact = self.candidates.known

@@ -135,7 +135,9 @@ def find_modes(density: FloatArray) -> tuple[OrientationMode, ...]:
         mean = (part @ offset) / part.sum()
         variance = (part @ (offset - mean) ** 2) / part.sum()
         step = 2.0 * np.pi / count
-        angle = (peak + _parabola_vertex(density, int(peak))) * step
+        with np.errstate(divide="ignore", invalid="ignore"):
+            around = np.log(density[np.arange(peak - 1, peak + 2) % count])
+            angle = (peak + parabola_vertex(*around)) * step
         modes.append(
             OrientationMode(
                 orientation=float(angle % (2.0 * np.pi)),
@@ -171,14 +173,9 @@ def _masses_between(density: FloatArray, saddles: IntArray) -> FloatArray:
     return np.asarray(np.where(following > saddles, direct, sums[-1] + direct))
 
 
-def _parabola_vertex(density: FloatArray, peak: int) -> float:
-    """Offset in samples, within half of one, of the peak of a parabola through the logarithm."""
-    count = len(density)
-    values = density[[(peak - 1) % count, peak, (peak + 1) % count]]
-    if not (values > 0.0).all():
-        return 0.0
-    left, middle, right = np.log(values)
+def parabola_vertex(left: float, middle: float, right: float) -> float:
+    """Offset in samples, within half of one, of the vertex of a parabola through three values."""
     bend = left - 2.0 * middle + right
-    if bend >= -1e-12:
+    if not bend < -1e-12:
         return 0.0
     return float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5))

@@ -8,12 +8,15 @@ import numpy as np
 from scipy.special import logsumexp
 
 from mclass.geometry import wrap_angle
-from mclass.orientation import find_modes, log_mean_exp, refine, resolution_factors
+from mclass.orientation import find_modes, parabola_vertex, refine, resolution_factors
 from mclass.records import FloatArray
 from mclass.results import ObjectEstimate, OrientationMode
 
-NEGLIGIBLE = 30.0
+NEGLIGIBLE = 25.0
 """Cells whose log belief is this far below the best are left out of summaries."""
+
+_PEAK_GAIN = 0.3
+"""More than a log belief can rise between a peak's bin and the peak, unless it is hopeless."""
 
 _TIE = 1e-6
 _FINE_BINS = 576
@@ -22,15 +25,17 @@ _FINE_BINS = 576
 
 @dataclass(frozen=True)
 class Readout:
-    """Joint log beliefs of some cells after one measurement, and what follows from them.
+    """Joint log belief of some cells after one measurement, up to one constant.
 
     Attributes:
-        log_likelihood: Of the cells, (a, n, bins).
-        log_joint: Log of prior times evidence of each cell, background first, (a, 1 + n).
+        log_likelihood: Of the measurements given class and orientation, (a, n, bins).
+        log_outer: Log of what multiplies it: priors and footprint factors, (a, n).
+        log_joint: Orientation integrated out, background first, (a, 1 + n).
         centers: Of the cells [m], (a, 2).
     """
 
     log_likelihood: FloatArray
+    log_outer: FloatArray
     log_joint: FloatArray
     centers: FloatArray
 
@@ -106,13 +111,12 @@ def _orientation_marginal(readout: Readout, index: int) -> FloatArray:
     if not np.isfinite(peak):
         return np.ones(bins)
     kept = np.flatnonzero(log_mass > peak - NEGLIGIBLE)
-    values = readout.log_likelihood[kept, index]
-    outer = log_mass[kept] - log_mean_exp(values)
+    values = readout.log_likelihood[kept, index] + readout.log_outer[kept, index, None]
     factor = int(resolution_factors(values).max())
-    marginal = logsumexp(refine(values, factor) + outer[:, None], axis=0)
+    fine = refine(values, factor)
+    marginal = np.log(np.exp(fine - fine.max()).sum(axis=0))
     further = max(1, 2 ** int(np.ceil(np.log2(_FINE_BINS / (bins * factor)))))
-    marginal = refine(marginal, further)
-    return np.asarray(np.exp(marginal - marginal.max()))
+    return np.asarray(np.exp(refine(marginal, further)))
 
 
 def _highest(density: FloatArray, modes: tuple[OrientationMode, ...]) -> float:
@@ -124,17 +128,17 @@ def _highest(density: FloatArray, modes: tuple[OrientationMode, ...]) -> float:
 
 def _joint_map(readout: Readout) -> tuple[int, float, float, float]:
     """Paper eq. (24) to the letter: class index, x, y [m], orientation [rad]."""
-    mean = log_mean_exp(readout.log_likelihood)
-    outer = readout.log_joint[:, 1:] - np.where(np.isfinite(mean), mean, 0.0)
-    density = readout.log_likelihood.max(axis=-1) + outer
-    best = density.max()
+    peaks = readout.log_likelihood.max(axis=-1) + readout.log_outer
+    best = peaks.max()
     if not np.isfinite(best):
         return 0, float(readout.centers[0, 0]), float(readout.centers[0, 1]), 0.0
-    cells, classes = np.nonzero(density > best - 1.0)
-    bins = readout.log_likelihood.shape[-1]
-    factor = max(1, _FINE_BINS * 8 // bins)
-    fine = refine(readout.log_likelihood[cells, classes], factor) + outer[cells, classes, None]
+    cells, classes = np.nonzero(peaks > best - _PEAK_GAIN)
+    factor = max(1, _FINE_BINS // readout.log_likelihood.shape[-1])
+    fine = refine(readout.log_likelihood[cells, classes], factor)
+    fine += readout.log_outer[cells, classes, None]
     winner, angle = np.unravel_index(int(np.argmax(fine)), fine.shape)
+    curve = fine[winner]
+    vertex = parabola_vertex(*curve[np.arange(angle - 1, angle + 2) % len(curve)])
     x, y = readout.centers[cells[winner]]
-    orientation = 2.0 * np.pi * float(angle) / (bins * factor)
+    orientation = 2.0 * np.pi * ((float(angle) + vertex) / len(curve) % 1.0)
     return int(classes[winner]), float(x), float(y), orientation

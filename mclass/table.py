@@ -103,29 +103,30 @@ def _quintic_weights(coordinates: FloatArray) -> tuple[npt.NDArray[np.int32], Fl
 
 
 def build_table(term: Term, bins: int, min_range: float, max_range: float) -> LikelihoodTable:
-    """Tabulate a term for ranges from ``min_range`` to ``max_range`` [m] and ``bins`` orientations.
+    """Tabulate a term for ranges from 0 to ``max_range`` [m] and ``bins`` orientations.
 
     The lattice starts from the narrowest viewpoint and is refined, range and direction apart,
-    until interpolation is as good as the tolerance between the nodes, or the table's memory
-    limit is reached.
+    until interpolation is as good as the tolerance between the nodes from ``min_range`` on, or
+    the table's memory limit is reached.
     """
     deviations = [
         np.sqrt(np.linalg.eigvalsh(entry.mixture.covariances).min()) for entry in term.likelihoods
     ]
-    span = max(max_range - min_range, 1e-9)
-    range_step = min(float(min(deviations)) / 2.0, span / 4.0)
+    range_step = min(float(min(deviations)) / 2.0, max_range / 4.0)
     n_directions = bins * max(1, -(-64 // bins))
     while True:
-        n_ranges = int(np.ceil(span / range_step)) + 1 + 2 * _PADDING
-        ranges = np.asarray(min_range + range_step * (np.arange(n_ranges) - _PADDING), dtype=float)
+        n_ranges = int(np.ceil(max_range / range_step)) + 1 + 2 * _PADDING
+        ranges: FloatArray = range_step * np.arange(-_PADDING, n_ranges - _PADDING, dtype=float)
         samples = _evaluate(term, ranges, _circle(n_directions))
         coefficients = _coefficients(samples)
-        range_error, direction_error = _interpolation_errors(term, ranges, samples, coefficients)
+        range_error, direction_error = _interpolation_errors(
+            term, ranges, samples, coefficients, min_range
+        )
         finer_step = range_step / 2.0 if range_error > 1.0 else range_step
         finer_count = n_directions * 2 if direction_error > 1.0 else n_directions
         if (finer_step, finer_count) == (range_step, n_directions):
             break
-        nodes = (span / finer_step + 2 * _REACH) * finer_count
+        nodes = (max_range / finer_step + 2 * _REACH) * finer_count
         if nodes * len(term.classes) * bins * 8 > _MAX_BYTES:
             break
         range_step, n_directions = finer_step, finer_count
@@ -165,7 +166,7 @@ def _coefficients(samples: FloatArray) -> FloatArray:
 
 
 def _interpolation_errors(
-    term: Term, ranges: FloatArray, samples: FloatArray, coefficients: FloatArray
+    term: Term, ranges: FloatArray, samples: FloatArray, coefficients: FloatArray, min_range: float
 ) -> tuple[float, float]:
     """Greatest errors half-way between nodes along range and direction, in tolerances."""
     aspects = _circle(samples.shape[2])
@@ -179,7 +180,7 @@ def _interpolation_errors(
 
     depth = samples.max(axis=(0, 2), keepdims=True) - samples
     allowed = _TOLERANCE * np.exp(np.minimum(depth / 2.0, 100.0))
-    used = slice(_PADDING, len(ranges) - _PADDING)
+    used = slice(int(np.searchsorted(ranges, min_range)), len(ranges) - _PADDING)
     half_range = _evaluate(term, ranges + (ranges[1] - ranges[0]) / 2.0, aspects)
     half_aspect = _evaluate(term, ranges, aspects + aspects[1] / 2.0)
     along_range = np.abs(midpoints(1) - half_range) / allowed

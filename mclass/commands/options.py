@@ -71,6 +71,6 @@ def overwrite_option(command: Command) -> Command:
 
 def echo_json(document: Any) -> None:
     """Print a JSON document to stdout."""
-    import json  # noqa: PLC0415 - keeps start-up short
+    import json
 
     click.echo(json.dumps(document, ensure_ascii=False, allow_nan=False, indent=1))

@@ -1,0 +1,116 @@
+"""``mclass estimate``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from mclass.commands.options import (
+    LOG,
+    echo_json,
+    format_option,
+    model_option,
+    overwrite_option,
+    plot_option,
+    time_options,
+)
+
+
+@click.command()
+@click.argument("log", type=LOG)
+@model_option
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="OUT.mcap",
+    help="Where to write.  [default: LOG-stem.mclass.mcap beside the log]",
+)
+@time_options
+@click.option(
+    "--every",
+    "every_s",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="Write maps and the full belief every SECONDS too, not only at the end.",
+)
+@click.option("--prefix", default="/mclass", show_default=True, help="Prefix of the new topics.")
+@overwrite_option
+@format_option
+@plot_option
+@click.pass_context
+def estimate(
+    ctx: click.Context,
+    log: Path,
+    model_path: Path | None,
+    output: Path | None,
+    start: str | None,
+    end: str | None,
+    every_s: float | None,
+    prefix: str,
+    overwrite: bool,
+    output_format: str,
+    plot_path: Path | None,
+) -> None:
+    """Estimate class, orientation and position of every object in LOG.
+
+    Reads odometry and detections, writes LOG plus the channels /mclass/... to OUT.mcap. The
+    input is never touched. Exit code 3 says that the log was damaged and what was lost.
+
+    \b
+    Examples:
+      mclass estimate drive.mcap
+      mclass estimate drive.mcap -c boxes.yaml -o result.mcap --every 10
+      mclass estimate drive.mcap -S +30s -E +90s --format json
+    """
+    from mclass.estimate import run
+    from mclass.text.documents import estimate_json
+    from mclass.text.reports import estimate_text
+    from mclass.text.terminal import Terminal
+
+    report = run(
+        log,
+        model_path=model_path,
+        output=output,
+        start=start,
+        end=end,
+        every_s=every_s,
+        prefix=prefix,
+        overwrite=overwrite,
+    )
+    facts = {
+        "input_path": str(report.input),
+        "output_path": str(report.output),
+        "model_name": report.model.name,
+        "used": report.used,
+        "skipped": report.skipped,
+        "objects": report.objects,
+        "class_names": report.model.classes.class_names,
+        "frame": report.contents.frame,
+        "damage": report.damage,
+        "notes": report.contents.notes,
+    }
+    if output_format == "json":
+        echo_json(estimate_json(**facts))
+    else:
+        click.echo(estimate_text(**facts, terminal=Terminal.of(sys.stdout)))
+    if plot_path is not None:
+        from mclass.errors import UsageError
+        from mclass.plot.maps import map_figure, ray_segments
+        from mclass.plot.style import save_figure
+
+        if report.maps is None:
+            raise UsageError("nothing to draw: no detection points anywhere on the grid")
+        figure = map_figure(
+            report.maps,
+            report.model.classes.class_names,
+            report.contents.frame,
+            objects=report.objects,
+            track=report.contents.track,
+            rays=ray_segments(report.contents.measurements, report.model.grid.max_range),
+        )
+        save_figure(figure, plot_path)
+    if report.damage:
+        ctx.exit(3)
