@@ -1,0 +1,339 @@
+"""The ground plane from above: class-probability maps (paper figures 8 and 12) and objects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Colormap
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse, Patch
+
+from mclass.plot.style import (
+    BACKGROUND_COLOR,
+    CLASS_COLORS,
+    CLASS_MARKERS,
+    OBJECT_COLOR,
+    TRACK_COLOR,
+    add_scale_bar,
+    drawable,
+    halo,
+    named_legend,
+    styled,
+)
+from mclass.records import FloatArray, LabelMeasurements, PoseTrack
+from mclass.results import ClassMaps, ObjectEstimate
+from mclass.text.documents import BACKGROUND
+from mclass.text.values import probability_text
+
+_UNTOUCHED_COLOR = "#f8dcb0"
+_RAY_COLOR = "#009E73"
+_MOST_PANELS = 12
+_LABELLED_MASS = 0.05
+_TRACK_POINTS = 5000
+_ARROW = 0.08  # of the larger side of the plane
+Limits = tuple[float, float, float, float]
+
+
+def ray_segments(measurements: LabelMeasurements, max_range: float, most: int = 200) -> FloatArray:
+    """Where detections pointed: a segment for a ray, both edges for a box.
+
+    Args:
+        measurements: Those without direction are left out.
+        max_range: Length of the segments [m].
+        most: Of more detections, only so many, evenly chosen.
+
+    Returns:
+        Start and end points in the world frame [m], (segments, 2, 2).
+    """
+    rows = np.flatnonzero(np.isfinite(measurements.directions).all(axis=1))
+    if len(rows) > most:
+        rows = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
+    starts = measurements.frames.poses_world_sensor[measurements.frame_index[rows], :2]
+    right, left = measurements.directions[rows].T
+    is_box = left != right
+    directions = np.concatenate([right, left[is_box]])
+    starts = np.concatenate([starts, starts[is_box]])
+    ends = starts + max_range * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
+    return np.stack([starts, ends], axis=1)
+
+
+@styled
+def map_figure(
+    maps: ClassMaps,
+    class_names: Sequence[str],
+    frame: str,
+    *,
+    objects: Sequence[ObjectEstimate] = (),
+    track: PoseTrack | None = None,
+    rays: FloatArray | None = None,
+) -> Figure:
+    """P(class) over the grid, a panel a class: white is 0, black is 1.
+
+    Cells that no measurement touched, which keep the prior, are tinted.
+
+    Args:
+        maps: Class probabilities.
+        class_names: Without the background.
+        frame: World frame.
+        objects: Drawn with their ids, an arrow a mode.
+        track: Where the sensor or robot went.
+        rays: Segments [m], (n, 2, 2), as from `ray_segments`.
+    """
+    limits = _limits(maps, objects, track, rays)
+    width, height = limits[1] - limits[0], limits[3] - limits[2]
+    # Of many classes those that are probable somewhere; the background always.
+    highest = maps.class_probabilities[:, 1:].max(axis=0, initial=0.0)
+    chosen = np.sort(np.argsort(-highest, kind="stable")[: _MOST_PANELS - 1])
+    shown = [0, *(int(index) + 1 for index in chosen)]
+    count = len(shown)
+    columns, panel = _best_layout(count, width / height)
+    rows = math.ceil(count / columns)
+    figure = Figure(
+        figsize=(panel * columns + 1.0, (panel * height / width + 0.35) * rows + 1.0),
+        layout="constrained",
+    )
+    figure.suptitle(f"Class probabilities in {drawable(frame)}")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    colors = matplotlib.colormaps["Greys"].with_extremes(bad=_UNTOUCHED_COLOR)
+    # A title shares its line with the scale bar.
+    names = (BACKGROUND, *(drawable(name, max(int(6.0 * panel), 8)) for name in class_names))
+    for axes, index in zip(grid.ravel(), shown, strict=False):
+        image = _draw_map(axes, maps, index, colors)
+        axes.set_facecolor(_UNTOUCHED_COLOR)
+        axes.set_title(f"P({names[index]})", loc="left")
+        handles = _draw_scene(axes, limits, track, rays, TRACK_COLOR)
+        for estimate in objects:
+            name = drawable(estimate.object_id)
+            # Hollow and without ellipse: what the cells say there is the point of the map.
+            _draw_object(axes, estimate, limits, text=name, color=OBJECT_COLOR, marker="")
+            handles["objects, arrows where they face"] = Line2D([], [], color=OBJECT_COLOR)
+        add_scale_bar(axes, "m", above=True)
+    for axes in grid.ravel()[count:]:
+        axes.set_axis_off()
+    _label_plane(grid, count)
+    figure.colorbar(image, ax=list(grid.ravel()), label="probability", aspect=40)
+    prior = ", ".join(
+        f"{probability_text(maps.untouched[index])} {names[index]}" for index in shown[:4]
+    )
+    more = ", ..." if count > 4 else ""
+    handles["not seen (prior: " + prior + more + ")"] = Patch(
+        facecolor=_UNTOUCHED_COLOR, edgecolor="#888888"
+    )
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
+    return figure
+
+
+@styled
+def objects_figure(
+    objects: Sequence[ObjectEstimate],
+    class_names: Sequence[str],
+    frame: str,
+    track: PoseTrack | None = None,
+) -> Figure:
+    """Objects from above: place with its two-sigma ellipse, an arrow a mode, class, P.
+
+    Args:
+        objects: Latest estimate of each.
+        class_names: Without the background.
+        frame: World frame.
+        track: Where the sensor or robot went.
+    """
+    limits = _limits(None, objects, track, None)
+    width, height = limits[1] - limits[0], limits[3] - limits[2]
+    side = min(7.0, 7.0 * width / height)
+    figure = Figure(figsize=(side + 0.6, side * height / width + 1.4), layout="constrained")
+    axes = figure.subplots()
+    figure.suptitle(f"Objects in {drawable(frame)}")
+    if not objects:
+        axes.text(0.5, 0.5, "no objects", ha="center", va="center", transform=axes.transAxes)
+    handles = _draw_scene(axes, limits, track, None, BACKGROUND_COLOR)
+    for estimate in objects:
+        name = drawable(class_names[estimate.class_index])
+        color = CLASS_COLORS[estimate.class_index % len(CLASS_COLORS)]
+        marker = CLASS_MARKERS[estimate.class_index % len(CLASS_MARKERS)]
+        probability = probability_text(estimate.class_probabilities[estimate.class_index + 1])
+        tie = "tie: " if estimate.tie else ""
+        text = f"{drawable(estimate.object_id)}\n{tie}{name} {probability}"
+        _draw_object(axes, estimate, limits, text=text, color=color, marker=marker)
+        handles[name] = Line2D([], [], color=color, marker=marker, linestyle="")
+    add_scale_bar(axes, "m", above=True)
+    _label_plane(np.array([[axes]]), 1)
+    if handles:
+        named_legend(
+            figure, list(handles.values()), list(handles), loc="outside lower center", ncols=4
+        )
+    return figure
+
+
+def _best_layout(count: int, aspect: float) -> tuple[int, float]:
+    """Columns and panel width [inch] that fill a page best with ``count`` panels."""
+    layouts = []
+    for columns in range(1, count + 1):
+        rows = math.ceil(count / columns)
+        panel = min(11.0 / columns, 8.0 * aspect / rows, 6.5)
+        layouts.append((panel * math.sqrt(count / (rows * columns)), columns, panel))
+    _, columns, panel = max(layouts)
+    return columns, panel
+
+
+def _draw_map(axes: Axes, maps: ClassMaps, index: int, colors: Colormap) -> AxesImage:
+    """One class's probabilities as an image of the touched cells' surroundings."""
+    grid = maps.grid
+    row, column = np.divmod(maps.cells, grid.columns)
+    row_0, column_0 = (int(row.min()), int(column.min())) if len(row) else (0, 0)
+    shape = (
+        int(row.max(initial=row_0)) - row_0 + 1,
+        int(column.max(initial=column_0)) - column_0 + 1,
+    )
+    values = np.full(shape, np.nan, dtype=np.float32)
+    values[row - row_0, column - column_0] = maps.class_probabilities[:, index]
+    left = grid.origin[0] + column_0 * grid.cell_size
+    bottom = grid.origin[1] + row_0 * grid.cell_size
+    return axes.imshow(
+        values,
+        origin="lower",
+        extent=(
+            left,
+            left + shape[1] * grid.cell_size,
+            bottom,
+            bottom + shape[0] * grid.cell_size,
+        ),
+        cmap=colors,
+        vmin=0.0,
+        vmax=1.0,
+    )
+
+
+def _draw_scene(
+    axes: Axes,
+    limits: Limits,
+    track: PoseTrack | None,
+    rays: FloatArray | None,
+    track_color: str,
+) -> dict[str, Artist]:
+    """Rays and trajectory; returns legend handles by name."""
+    handles: dict[str, Artist] = {}
+    axes.set_aspect("equal")
+    axes.set(xlim=limits[:2], ylim=limits[2:])
+    if rays is not None and len(rays):
+        alpha = float(np.clip(20.0 / len(rays), 0.15, 0.8))
+        axes.add_collection(
+            LineCollection(list(rays), colors=_RAY_COLOR, linewidths=0.7, alpha=alpha),
+            autolim=False,
+        )
+        handles["detections"] = Line2D([], [], color=_RAY_COLOR, linewidth=1.0)
+    if track is not None and len(track.stamps_ns):
+        step = -(-len(track.stamps_ns) // _TRACK_POINTS)
+        x, y = track.poses_world_child[::step, :2].T
+        line = axes.plot(x, y, color=track_color, linewidth=1.2, path_effects=halo(2.5))
+        axes.plot(x[:1], y[:1], "o", color=track_color, markersize=4, path_effects=halo(2.5))
+        handles["track, from its dot"] = line[0]
+    return handles
+
+
+def _draw_object(
+    axes: Axes, estimate: ObjectEstimate, limits: Limits, *, text: str, color: str, marker: str
+) -> None:
+    """An arrow a mode, as opaque as it is heavy, and a text; with a marker also its place.
+
+    The place is the marker and a two-sigma ellipse; without a marker it is a ring.
+    """
+    x, y = estimate.position
+    length = _ARROW * max(limits[1] - limits[0], limits[3] - limits[2])
+    spread_x, spread_y = 4.0 * estimate.position_std
+    if marker and (spread_x > 0.0 or spread_y > 0.0):
+        axes.add_patch(
+            Ellipse((x, y), spread_x, spread_y, fill=False, edgecolor=color, linewidth=0.8)
+        )
+    for mode in estimate.modes:
+        axes.annotate(
+            "",
+            xy=(x + length * math.cos(mode.orientation), y + length * math.sin(mode.orientation)),
+            xytext=(x, y),
+            arrowprops={
+                "arrowstyle": "-|>",
+                "color": color,
+                "alpha": float(np.clip(mode.mass, 0.1, 1.0)),
+                "linewidth": 1.5,
+                "shrinkA": 0.0 if marker else 3.5,
+                "shrinkB": 0.0,
+            },
+        )
+    if marker:
+        axes.plot(x, y, marker, color=color, markersize=6, path_effects=halo())
+    else:
+        axes.plot(x, y, "o", color=color, markersize=7, fillstyle="none")
+    away = _free_direction(estimate, limits)
+    axes.annotate(
+        text,
+        xy=(x, y),
+        xytext=(9.0 * math.cos(away), 9.0 * math.sin(away)),
+        textcoords="offset points",
+        ha="left" if math.cos(away) > 0.0 else "right",
+        va="bottom" if math.sin(away) > 0.0 else "top",
+        fontsize=8,
+        path_effects=halo(),
+    )
+
+
+def _free_direction(estimate: ObjectEstimate, limits: Limits) -> float:
+    """The diagonal direction [rad] away from arrows and from the axes' border: room for text."""
+    diagonals = np.pi / 4.0 * np.array([1, -1, 3, -3])
+    arrows = np.array([m.orientation for m in estimate.modes if m.mass >= _LABELLED_MASS])
+    crowding = np.cos(diagonals[:, None] - arrows).max(axis=1, initial=-1.0)
+    left, right, bottom, top = limits
+    outward_x = 2.0 * (estimate.position[0] - left) / (right - left) - 1.0
+    outward_y = 2.0 * (estimate.position[1] - bottom) / (top - bottom) - 1.0
+    outward = outward_x * np.cos(diagonals) + outward_y * np.sin(diagonals)
+    return float(diagonals[int((crowding + 0.5 * outward).argmin())])
+
+
+def _limits(
+    maps: ClassMaps | None,
+    objects: Sequence[ObjectEstimate],
+    track: PoseTrack | None,
+    rays: FloatArray | None,
+) -> Limits:
+    """Ranges of x and y [m] that hold everything drawn, with a margin; at least a metre wide."""
+    two_sigma = np.array([[2.0], [-2.0]])
+    points = [estimate.position + two_sigma * estimate.position_std for estimate in objects]
+    if track is not None:
+        points.append(track.poses_world_child[:, :2])
+    if rays is not None:
+        points.append(rays[:, 0])
+    if maps is not None:
+        grid = maps.grid
+        half = 0.5 * grid.cell_size
+        centers = grid.centers(maps.cells)
+        points += [centers - half, centers + half]
+        if not len(maps.cells):
+            size = grid.cell_size * np.array([grid.columns, grid.rows])
+            points.append(np.array([grid.origin, np.array(grid.origin) + size]))
+    everything = np.concatenate(points) if points else np.zeros((1, 2))
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    middle, half_size = (low + high) / 2.0, np.maximum((high - low) / 2.0, 0.5)
+    # A long corridor still gets a panel that can be read.
+    half_size = np.maximum(half_size, half_size.max() / 4.0)
+    half_size += (3.0 * _ARROW if objects else _ARROW) * half_size.max()
+    (x_0, y_0), (x_1, y_1) = middle - half_size, middle + half_size
+    return float(x_0), float(x_1), float(y_0), float(y_1)
+
+
+def _label_plane(grid: npt.NDArray[np.object_], count: int) -> None:
+    """Axis labels on the outer panels."""
+    columns = grid.shape[1]
+    for index, axes in enumerate(grid.ravel()[:count]):
+        if index + columns >= count:
+            axes.set_xlabel("x [m]")
+            axes.tick_params(labelbottom=True)
+        if index % columns == 0:
+            axes.set_ylabel("y [m]")
