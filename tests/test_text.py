@@ -12,11 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lopsided_results import CLASS_NAMES, STAMP_NS, cell, estimate, mode
 
+from mclass.checks import Violation
 from mclass.results import OrientationMode
 from mclass.text import (
     Terminal,
     cell_json,
     cell_text,
+    check_json,
+    check_text,
     estimate_json,
     estimate_text,
     history_text,
@@ -354,6 +357,56 @@ def test_estimate_text() -> None:
         "damaged       the file ends early",
     ]
     assert text.endswith(objects_text([estimate()], CLASS_NAMES, "odom", UNICODE))
+
+
+class TestChecks:
+    VIOLATION = Violation(
+        class_name="c1",
+        label="c2",
+        true_label="c1",
+        position=np.array([0.0, 1.625]),
+        confusion_density=0.25,
+        true_density=0.1,
+        ratio=2.5,
+        share=0.123,
+        greatest_ratio=1e80,
+    )
+
+    def test_violation_in_the_models_unit(self) -> None:
+        lines = check_text([self.VIOLATION], UNICODE, ("dm", 0.1)).split("\n")
+        assert lines == [
+            "Inequality (12) does not hold everywhere.",
+            "From some places a confusing label is likelier than the class's own; there it",
+            "misleads.",
+            "",
+            "class c1: label c2 is likelier than c1 in 12 % of the region",
+            "  most at (0, 16.2) dm from the object, in its frame: 0.0025 against 0.001 per",
+            "  dm², 2.5 times; anywhere up to over a million times",
+        ]
+
+    def test_ascii(self) -> None:
+        assert check_text([self.VIOLATION], ASCII).isascii()
+
+    def test_json_is_in_metres(self) -> None:
+        assert check_json([self.VIOLATION]) == {
+            "violations": [
+                {
+                    "class": "c1",
+                    "label": "c2",
+                    "true_label": "c1",
+                    "position": [0.0, 1.625],
+                    "confusion_density": 0.25,
+                    "true_density": 0.1,
+                    "ratio": 2.5,
+                    "share": 0.123,
+                    "greatest_ratio": 1e80,
+                }
+            ]
+        }
+
+    def test_nothing_to_report(self) -> None:
+        assert check_text([], UNICODE).startswith("Inequality (12) holds")
+        assert check_json([]) == {"violations": []}
 
 
 @given(

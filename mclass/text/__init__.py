@@ -1,6 +1,7 @@
 """Results as words and documents: pure functions from values to text and JSON."""
 
 from mclass.text.cells import cell_text, history_text
+from mclass.text.checks import check_json, check_text
 from mclass.text.documents import cell_json, estimate_json, object_json, objects_json
 from mclass.text.objects import objects_text
 from mclass.text.reports import estimate_text
@@ -10,6 +11,8 @@ __all__ = [
     "Terminal",
     "cell_json",
     "cell_text",
+    "check_json",
+    "check_text",
     "estimate_json",
     "estimate_text",
     "history_text",

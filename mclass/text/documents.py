@@ -100,7 +100,7 @@ def _cell_figures(report: CellReport, class_names: Sequence[str]) -> JsonObject:
             "row": int(report.row),
             "column": int(report.column),
             "center": _numbers(report.center),
-            "size": _number(report.grid.cell_size),
+            "size": finite(report.grid.cell_size),
         },
         "class_probabilities": _probabilities_json(report.class_probabilities, class_names),
         "orientation": {
@@ -161,20 +161,20 @@ def estimate_json(
 def _probabilities_json(probabilities: Iterable[float], class_names: Sequence[str]) -> JsonObject:
     """P by name, background first."""
     names = (BACKGROUND, *class_names)
-    return {name: _number(p) for name, p in zip(names, probabilities, strict=True)}
+    return {name: finite(p) for name, p in zip(names, probabilities, strict=True)}
 
 
 def _mode_json(mode: OrientationMode) -> JsonObject:
     """One peak of an orientation density."""
-    std = _number(mode.std)
+    std = finite(mode.std)
     return {
         "orientation_deg": _degrees(mode.orientation),
-        "mass": _number(mode.mass),
+        "mass": finite(mode.mass),
         "std_deg": None if std is None else math.degrees(std),
     }
 
 
-def _number(value: float) -> float | None:
+def finite(value: float) -> float | None:
     """A float of Python's own; None for what JSON has no number for."""
     number = float(value)
     return number if math.isfinite(number) else None
@@ -182,10 +182,10 @@ def _number(value: float) -> float | None:
 
 def _numbers(values: Iterable[float]) -> list[float | None]:
     """Several of them."""
-    return [_number(value) for value in values]
+    return [finite(value) for value in values]
 
 
 def _degrees(angle: float) -> float | None:
     """Radians to degrees in [0, 360)."""
-    number = _number(angle)
+    number = finite(angle)
     return None if number is None else degrees(number)

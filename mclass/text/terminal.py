@@ -23,7 +23,7 @@ _STYLE_CODES: Mapping[Style, str] = {"bold": "1", "dim": "2", "warning": "33"}
 _NARROWEST_COLUMN = 8
 _BLOCKS = " ▁▂▃▄▅▆▇█"
 _ASCII_BLOCKS = " .:-=+*#@"
-_ASCII_SIGNS = {"±": "+/-", "…": "...", "°": " deg", "█": "#", "│": "|"}
+_ASCII_SIGNS = {"±": "+/-", "…": "...", "°": " deg", "█": "#", "²": "^2"}
 
 
 @dataclass(frozen=True)
