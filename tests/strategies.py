@@ -101,17 +101,20 @@ def label_measurements(
 ) -> LabelMeasurements:
     """Sensors around a grid with boxes on some of its cells; all of one object, or of none.
 
-    About one in five is a ray.
+    The first certainly holds the centre of a cell; about one in three of the others is a ray.
     """
     count = draw(st.integers(1, most))
     sensors, directions = [], []
-    for _ in range(count):
+    for i in range(count):
         cell = draw(st.integers(0, grid.rows * grid.columns - 1))
         azimuth, distance = draw(angles()), draw(floats(0.3, 2.5))
         x, y = grid.centers(np.array([cell]))[0]
         sensor = [x - distance * math.cos(azimuth), y - distance * math.sin(azimuth)]
-        width = draw(st.one_of(floats(0.05, 1.0), floats(0.05, 1.0), st.just(0.0)))
-        middle = azimuth + draw(floats(-0.2, 0.2))
+        width, aside = draw(floats(0.05, 1.0)), 0.0
+        if i > 0:
+            width = draw(st.sampled_from([width, width, 0.0]))
+            aside = draw(floats(-0.2, 0.2))
+        middle = azimuth + aside
         sensors.append([*sensor, middle + draw(floats(-0.5, 0.5))])
         directions.append([middle - width / 2.0, middle + width / 2.0])
     blur = None
