@@ -39,7 +39,11 @@ from mclass.results import ClassMaps
 
 def panel(figure: Figure, title: str) -> Axes:
     """The axes with a title."""
-    found = [a for a in figure.axes if title in (a.get_title(), a.get_title(loc="left"))]
+    found = [
+        a
+        for a in figure.axes
+        if title in (a.get_title(), a.get_title(loc="left"), a.get_title(loc="left").split(",")[0])
+    ]
     assert len(found) == 1, [a.get_title() or a.get_title(loc="left") for a in figure.axes]
     return found[0]
 
@@ -215,6 +219,19 @@ class TestCellFigure:
         assert np.rad2deg(angles[density.argmax()]) == pytest.approx(90.0)
         assert "object o7, cell (2.75, 3.75) m in odom, 3 measurements" in texts(figure)
 
+    def test_classes_not_drawn_are_summed_up(self) -> None:
+        count = 9
+        report = cell(
+            density=np.full((count, 8), 0.5 / np.pi),
+            probabilities=(0.1, *([0.05] * 3), *([0.125] * 6)),
+            modes=((),) * count,
+        )
+        figure = cell_figure(report, [f"c{k}" for k in range(count)], "odom")
+        bars = figure.axes[0]
+        figure.draw_without_rendering()
+        assert bars.get_yticklabels()[-1].get_text() == "3 others"
+        assert bars.patches[-1].get_width() == pytest.approx(0.15)  # type: ignore[attr-defined]
+
 
 class TestMapFigure:
     def test_row_zero_is_at_the_bottom(self) -> None:
@@ -239,11 +256,14 @@ class TestMapFigure:
     def test_a_panel_a_class(self) -> None:
         figure = map_figure(maps(), CLASS_NAMES, "odom")
         titles = [a.get_title(loc="left") for a in figure.axes if a.get_title(loc="left")]
-        assert titles == ["P(background)", "P(books)", "P(parts)"]
+        assert titles == [
+            "P(background), prior 0.5000",
+            "P(books), prior 0.2500",
+            "P(parts), prior 0.2500",
+        ]
         words = texts(figure)
         assert {"x [m]", "y [m]", "probability", "Class probabilities in odom"} <= set(words)
-        (prior,) = legend_names(figure)
-        assert "0.5000 background, 0.2500 books, 0.2500 parts" in prior
+        assert legend_names(figure) == ["not seen: prior"]
 
     def test_everything_drawn_is_inside(self) -> None:
         track = PoseTrack("odom", "base", np.array([1, 2]), np.array([[-7.0, 0, 0], [1, 9.0, 1]]))
@@ -282,8 +302,8 @@ class TestMapFigure:
         figure = map_figure(crowded, [f"c{k}" for k in range(1, 41)], "odom")
         titles = [a.get_title(loc="left") for a in figure.axes if a.get_title(loc="left")]
         assert len(titles) == 12
-        assert titles[0] == "P(background)"
-        assert "P(c33)" in titles
+        assert titles[0].startswith("P(background),")
+        assert any(title.startswith("P(c33),") for title in titles)
 
     def test_scale_bar(self) -> None:
         axes = panel(map_figure(maps(), CLASS_NAMES, "odom"), "P(books)")
@@ -345,6 +365,16 @@ class TestObjectsFigure:
         tied = estimate(probabilities=(0.5, 0.25, 0.25), tie=(0, 1))
         figure = objects_figure([tied], CLASS_NAMES, "map")
         assert "o1\ntie: books 0.2500" in [text.get_text() for text in figure.axes[0].texts]
+
+    def test_a_crowd_is_drawn_smaller(self) -> None:
+        few = [estimate(f"o{k}", position=(float(k), 0.0)) for k in range(12)]
+        many = [estimate(f"o{k}", position=(k / 4.0, 0.0)) for k in range(48)]
+        sizes = []
+        for objects in (few, many):
+            axes = objects_figure(objects, CLASS_NAMES, "map").axes[0]
+            sizes.append([line.get_markersize() for line in axes.lines if line.get_marker() == "o"])
+            assert len(sizes[-1]) == len(objects)
+        assert sizes[1][0] == pytest.approx(sizes[0][0] / 2.0)
 
     def test_no_objects(self) -> None:
         assert "no objects" in texts(objects_figure([], CLASS_NAMES, "map"))

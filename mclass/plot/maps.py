@@ -39,6 +39,7 @@ _RAY_COLOR = "#009E73"
 _MOST_PANELS = 12
 _LABELLED_MASS = 0.05
 _TRACK_POINTS = 5000
+_CROWD = 12
 _ARROW = 0.08  # of the larger side of the plane
 Limits = tuple[float, float, float, float]
 
@@ -104,30 +105,27 @@ def map_figure(
     figure.suptitle(f"Class probabilities in {drawable(frame)}")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     colors = matplotlib.colormaps["Greys"].with_extremes(bad=_UNTOUCHED_COLOR)
-    # A title shares its line with the scale bar.
-    names = (BACKGROUND, *(drawable(name, max(int(6.0 * panel), 8)) for name in class_names))
+    # A title shares its line with the scale bar: about nine letters fit an inch.
+    letters = max(int(9.0 * panel) - len("P(), prior 0.0000"), 8)
+    names = (BACKGROUND, *(drawable(name, letters) for name in class_names))
+    size = _object_size(len(objects))
     for axes, index in zip(grid.ravel(), shown, strict=False):
         image = _draw_map(axes, maps, index, colors)
         axes.set_facecolor(_UNTOUCHED_COLOR)
-        axes.set_title(f"P({names[index]})", loc="left")
+        prior = probability_text(maps.untouched[index])
+        axes.set_title(f"P({names[index]}), prior {prior}", loc="left")
         handles = _draw_scene(axes, limits, track, rays, TRACK_COLOR)
         for estimate in objects:
             name = drawable(estimate.object_id)
             # Hollow and without ellipse: what the cells say there is the point of the map.
-            _draw_object(axes, estimate, limits, text=name, color=OBJECT_COLOR, marker="")
+            _draw_object(axes, estimate, limits, size, text=name, color=OBJECT_COLOR, marker="")
             handles["objects, arrows where they face"] = Line2D([], [], color=OBJECT_COLOR)
         add_scale_bar(axes, "m", above=True)
     for axes in grid.ravel()[count:]:
         axes.set_axis_off()
     _label_plane(grid, count)
     figure.colorbar(image, ax=list(grid.ravel()), label="probability", aspect=40)
-    prior = ", ".join(
-        f"{probability_text(maps.untouched[index])} {names[index]}" for index in shown[:4]
-    )
-    more = ", ..." if count > 4 else ""
-    handles["not seen (prior: " + prior + more + ")"] = Patch(
-        facecolor=_UNTOUCHED_COLOR, edgecolor="#888888"
-    )
+    handles["not seen: prior"] = Patch(facecolor=_UNTOUCHED_COLOR, edgecolor="#888888")
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
     return figure
 
@@ -156,14 +154,17 @@ def objects_figure(
     if not objects:
         axes.text(0.5, 0.5, "no objects", ha="center", va="center", transform=axes.transAxes)
     handles = _draw_scene(axes, limits, track, None, BACKGROUND_COLOR)
+    size = _object_size(len(objects))
     for estimate in objects:
         name = drawable(class_names[estimate.class_index])
         color = CLASS_COLORS[estimate.class_index % len(CLASS_COLORS)]
         marker = CLASS_MARKERS[estimate.class_index % len(CLASS_MARKERS)]
         probability = probability_text(estimate.class_probabilities[estimate.class_index + 1])
         tie = "tie: " if estimate.tie else ""
-        text = f"{drawable(estimate.object_id)}\n{tie}{name} {probability}"
-        _draw_object(axes, estimate, limits, text=text, color=color, marker=marker)
+        text = drawable(estimate.object_id)
+        if len(objects) <= _CROWD:
+            text += f"\n{tie}{name} {probability}"
+        _draw_object(axes, estimate, limits, size, text=text, color=color, marker=marker)
         handles[name] = Line2D([], [], color=color, marker=marker, linestyle="")
     add_scale_bar(axes, "m", above=True)
     _label_plane(np.array([[axes]]), 1)
@@ -241,14 +242,21 @@ def _draw_scene(
 
 
 def _draw_object(
-    axes: Axes, estimate: ObjectEstimate, limits: Limits, *, text: str, color: str, marker: str
+    axes: Axes,
+    estimate: ObjectEstimate,
+    limits: Limits,
+    size: float,
+    *,
+    text: str,
+    color: str,
+    marker: str,
 ) -> None:
     """An arrow a mode, as opaque as it is heavy, and a text; with a marker also its place.
 
     The place is the marker and a two-sigma ellipse; without a marker it is a ring.
     """
     x, y = estimate.position
-    length = _ARROW * max(limits[1] - limits[0], limits[3] - limits[2])
+    length = size * _ARROW * max(limits[1] - limits[0], limits[3] - limits[2])
     spread_x, spread_y = 4.0 * estimate.position_std
     if marker and (spread_x > 0.0 or spread_y > 0.0):
         axes.add_patch(
@@ -263,26 +271,32 @@ def _draw_object(
                 "arrowstyle": "-|>",
                 "color": color,
                 "alpha": float(np.clip(mode.mass, 0.1, 1.0)),
-                "linewidth": 1.5,
-                "shrinkA": 0.0 if marker else 3.5,
+                "linewidth": 1.5 * size,
+                "mutation_scale": 10.0 * size,
+                "shrinkA": 0.0 if marker else 3.5 * size,
                 "shrinkB": 0.0,
             },
         )
     if marker:
-        axes.plot(x, y, marker, color=color, markersize=6, path_effects=halo())
+        axes.plot(x, y, marker, color=color, markersize=6.0 * size, path_effects=halo())
     else:
-        axes.plot(x, y, "o", color=color, markersize=7, fillstyle="none")
+        axes.plot(x, y, "o", color=color, markersize=7.0 * size, fillstyle="none")
     away = _free_direction(estimate, limits)
     axes.annotate(
         text,
         xy=(x, y),
-        xytext=(9.0 * math.cos(away), 9.0 * math.sin(away)),
+        xytext=(9.0 * size * math.cos(away), 9.0 * size * math.sin(away)),
         textcoords="offset points",
         ha="left" if math.cos(away) > 0.0 else "right",
         va="bottom" if math.sin(away) > 0.0 else "top",
-        fontsize=8,
+        fontsize=max(8.0 * size, 5.0),
         path_effects=halo(),
     )
+
+
+def _object_size(count: int) -> float:
+    """How large objects are drawn: 1, less in a crowd."""
+    return min(1.0, math.sqrt(_CROWD / max(count, 1)))
 
 
 def _free_direction(estimate: ObjectEstimate, limits: Limits) -> float:

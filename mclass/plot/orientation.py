@@ -159,13 +159,19 @@ def cell_figure(
         f"{owner}cell ({x:.2f}, {y:.2f}) m in {drawable(frame)}, "
         f"{count_text(report.measurements, 'measurement')}",
     )
-    values = report.class_probabilities[[0, *(index + 1 for index in shown)]]
+    values = report.class_probabilities[[0, *(index + 1 for index in shown)]].tolist()
     colors = [BACKGROUND_COLOR, *(CLASS_COLORS[i % len(CLASS_COLORS)] for i in shown)]
+    names = [BACKGROUND, *(drawable(class_names[i]) for i in shown)]
+    hidden = len(class_names) - len(shown)
+    if hidden:
+        values.append(1.0 - sum(values))
+        colors.append("#d0d0d0")
+        names.append(f"{hidden} others")
     drawn = bars.barh(range(len(values)), values, color=colors)
     bars.bar_label(drawn, [probability_text(value) for value in values], padding=3, fontsize=8)
     bars.set(xlim=(0.0, 1.15), xticks=np.linspace(0.0, 1.0, 6), xlabel="probability")
     bars.invert_yaxis()
-    bars.set_yticks(range(len(values)), [BACKGROUND, *(drawable(class_names[i]) for i in shown)])
+    bars.set_yticks(range(len(values)), names)
     _rose(rose, report, shown)
     return figure
 

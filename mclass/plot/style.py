@@ -40,7 +40,6 @@ _STYLE: Mapping[str, Any] = {
     "figure.labelsize": 8.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "image.interpolation": "nearest",
     # Element names in SVG files would otherwise be random.
     "svg.hashsalt": "mclass",
 }
