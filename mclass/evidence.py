@@ -1,6 +1,7 @@
-"""Measurements to evidence: sums of log likelihoods for many cells at once.
+"""Looks to evidence: sums of log likelihoods for many cells at once.
 
-Cells are rows; each row owns a run of (cell, measurement) pairs. Two ways lead from pairs to
+A look is one instant at which a cell was measured: a detection, or a frame that returned
+nothing. Cells are rows; each row owns a run of (cell, look) pairs. Two ways lead from pairs to
 sums: tables (S @ D, fast, for grids) and direct evaluation (exact, for known positions and
 for models whose viewpoints have a bearing term). Both add the same terms.
 """
@@ -13,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mclass.footprint import Pointing
-from mclass.observation import Term
+from mclass.observation import Term, has_bearing
 from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.table import LikelihoodTable, build_table
 
@@ -26,18 +27,18 @@ _PAIRS_AT_ONCE = 2**13
 
 @dataclass(frozen=True)
 class Pairs:
-    """Cells with the measurements that concern them.
+    """Cells with the looks that concern them.
 
     Attributes:
         starts: Row ``i`` owns pairs ``starts[i]:starts[i + 1]``, (rows + 1,).
-        measurements: Index of the measurement of each pair, (p,).
+        looks: Index of the look of each pair, (p,).
         ranges: Distance of sensor and cell [m], (p,).
         directions: World direction of the sensor seen from the cell [rad], (p,).
         scale: Weight of each pair's log likelihood, (p,), or None for one each.
     """
 
     starts: IntArray
-    measurements: IntArray
+    looks: IntArray
     ranges: FloatArray
     directions: FloatArray
     scale: FloatArray | None = None
@@ -47,7 +48,7 @@ class Pairs:
         kept = np.flatnonzero(mask)
         return Pairs(
             starts=np.searchsorted(kept, self.starts),
-            measurements=self.measurements[kept],
+            looks=self.looks[kept],
             ranges=self.ranges[kept],
             directions=self.directions[kept],
             scale=None if self.scale is None else self.scale[kept],
@@ -67,43 +68,43 @@ class Evidence:
         classes: Given class and orientation; orientation bin b is centred at
             2 pi b / bins, (rows, n, bins).
         background: Given the background, (rows,).
-        measurements: How many measurements were summed, (rows,).
+        looks: How many looks were summed, (rows,).
     """
 
     classes: FloatArray
     background: FloatArray
-    measurements: IntArray
+    looks: IntArray
 
     def __add__(self, other: Evidence) -> Evidence:
-        """Evidence of both sets of measurements, row by row."""
+        """Evidence of both sets of looks, row by row."""
         return Evidence(
             self.classes + other.classes,
             self.background + other.background,
-            self.measurements + other.measurements,
+            self.looks + other.looks,
         )
 
     def select(self, rows: IntArray) -> Evidence:
         """Only the given rows."""
-        return Evidence(self.classes[rows], self.background[rows], self.measurements[rows])
+        return Evidence(self.classes[rows], self.background[rows], self.looks[rows])
 
 
 @dataclass
 class Engine:
-    """Sums evidence for one model and one set of measurements.
+    """Sums evidence for one model and one set of looks.
 
     Attributes:
-        terms: The observation model, one term a label.
+        terms: The observation model.
         n_classes: Without the background.
         bins: Orientation bins.
-        pointing: Where the measurements were taken from.
-        has_label: Whether a measurement returned a label, (measurements, labels).
+        pointing: Where the looks were taken from.
+        has_term: Whether a look adds a term, (looks, terms).
     """
 
     terms: tuple[Term, ...]
     n_classes: int
     bins: int
     pointing: Pointing
-    has_label: BoolArray
+    has_term: BoolArray
     _tables: dict[tuple[int, int], LikelihoodTable] = field(default_factory=dict)
 
     def evidence(self, pairs: Pairs) -> Evidence:
@@ -118,17 +119,20 @@ class Engine:
         rows = len(pairs.starts) - 1
         classes = np.zeros((rows, self.n_classes, self.bins))
         background = np.zeros(rows)
-        present = np.flatnonzero(self.has_label[np.unique(pairs.measurements)].any(axis=0))
-        for label in present:
-            term = self.terms[label]
-            chosen = pairs.select(self.has_label[pairs.measurements, label])
-            counts = chosen.counts
-            background += _row_weights(chosen) * term.background
-            impossible = np.ones(self.n_classes, dtype=bool)
-            impossible[term.classes] = False
-            classes[np.ix_(counts > 0, impossible)] = -np.inf
+        present = np.flatnonzero(self.has_term[np.unique(pairs.looks)].any(axis=0))
+        for index in present:
+            term = self.terms[index]
+            chosen = pairs.select(self.has_term[pairs.looks, index])
+            weights = _row_weights(chosen)
+            background += weights * term.background
+            others = np.ones(self.n_classes, dtype=bool)
+            others[term.classes] = False
+            # No weight times minus infinity is nothing, not NaN.
+            touched = np.flatnonzero(weights)
+            value = weights[touched] * term.elsewhere
+            classes[np.ix_(touched, others)] += value[:, None, None]
             if len(term.classes):
-                direct = exact or term.has_bearing
+                direct = exact or has_bearing(term)
                 part = self._direct(term, chosen) if direct else self._tabulated(term, chosen)
                 classes[:, term.classes] += part
         return Evidence(classes, background, pairs.counts)
@@ -144,7 +148,7 @@ class Engine:
             aspects = pairs.directions[part, None] - orientations
             views = np.stack([np.cos(aspects), np.sin(aspects)], axis=-1)
             views *= pairs.ranges[part, None, None]
-            headings = self.pointing.headings[pairs.measurements[part]]
+            headings = self.pointing.headings[pairs.looks[part]]
             bearings = np.broadcast_to(
                 (pairs.directions[part] + np.pi - headings)[:, None], aspects.shape
             )
@@ -169,7 +173,7 @@ class Engine:
     def _table(self, term: Term, farthest: float) -> LikelihoodTable:
         """A table that reaches the maximal range, doubled as often as a pair lies beyond."""
         level = max(0, int(np.ceil(np.log2(max(farthest / self.pointing.max_range, 1.0)))))
-        key = (term.label, level)
+        key = (term.index, level)
         if key not in self._tables:
             reach = self.pointing.max_range * 2.0**level
             self._tables[key] = build_table(term, self.bins, self.pointing.min_range, reach)

@@ -50,7 +50,7 @@ def grid_beliefs(
     for number, tile in enumerate(touched):
         yield tuple(
             TileBelief(
-                number, len(touched), cells, evidence.measurements, posterior(evidence, log_priors)
+                number, len(touched), cells, evidence.looks, posterior(evidence, log_priors)
             )
             for cells, evidence in _cumulative(engine, grid, tile, cuts)
         )
@@ -69,12 +69,12 @@ def _cumulative(
         cell, column = np.nonzero(seen.inside & window)
         pairs = Pairs(
             starts=np.searchsorted(cell, np.arange(len(tile.cells) + 1)),
-            measurements=tile.rows[column],
+            looks=tile.rows[column],
             ranges=seen.ranges[cell, column],
             directions=seen.directions[cell, column],
         )
         part = engine.evidence(pairs)
         total = part if total is None else total + part
-        kept = np.flatnonzero(total.measurements)
+        kept = np.flatnonzero(total.looks)
         yield tile.cells[kept], total.select(kept)
         before = cut
