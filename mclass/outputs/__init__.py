@@ -1,0 +1,1 @@
+"""Results as channels of a log, and back: everything under ``/mclass``."""

@@ -1,0 +1,380 @@
+"""Results read back from an output, whatever its encoding."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from mclass.errors import LogError, UsageError
+from mclass.footprint import Grid
+from mclass.logs.reader import ChannelInfo, LogReader
+from mclass.messages import proto_json, protobuf
+from mclass.messages.cdr import CdrCodec
+from mclass.messages.definitions import normalise_name, parse_definitions
+from mclass.outputs.channels import METADATA_NAME, MODEL_ATTACHMENT
+from mclass.outputs.encoder import NANOSECONDS
+from mclass.outputs.raster import PackedCells, unpack_cells
+from mclass.outputs.values import BACKGROUND, belief_from, estimate_from, measurements_from
+from mclass.records import LabelMeasurements
+from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
+
+_NO_CHANNELS = "no /mclass channels: run `mclass estimate` first"
+_KINDS: Mapping[str, Sequence[tuple[str, str]]] = {
+    "objects": (("estimates", "mclass_msgs/msg/Estimates"), ("objects", "mclass.Objects")),
+    "grid": (("grid", "foxglove_msgs/msg/Grid"), ("grid", "foxglove.Grid")),
+    "belief": (("belief", "mclass_msgs/msg/Belief"), ("belief", "mclass.Belief")),
+    "measurements": (
+        ("measurements", "mclass_msgs/msg/Measurements"),
+        ("measurements", "mclass.Measurements"),
+    ),
+}
+_FIRST_WINDOW_NS = NANOSECONDS
+_WINDOW_GROWTH = 10
+
+Result = TypeVar("Result")
+
+
+class _Decoder(Protocol):
+    def decode(self, data: memoryview) -> dict[str, Any]: ...
+
+
+class OutputLog:
+    """The results in one output.
+
+    Attributes:
+        reader: The log itself; its ``damage`` grows while results are read.
+        metadata: The record that says how the output came about.
+        frame: World frame of all results.
+        class_names: Without the background.
+        prefix: Of the topics.
+    """
+
+    def __init__(self, reader: LogReader) -> None:
+        """Find the results in an open log, which stays the caller's to close.
+
+        Raises:
+            LogError: If it holds none.
+        """
+        self.reader = reader
+        self._path = str(reader.path)
+        metadata = reader.metadata(METADATA_NAME)
+        if metadata is None:
+            raise LogError(_NO_CHANNELS, path=self._path)
+        self.metadata = metadata
+        try:
+            self.frame = metadata["frame"]
+            self.prefix = metadata["prefix"]
+            names = json.loads(metadata["classes"])
+            self.class_names = tuple(str(name) for name in names)
+        except (KeyError, TypeError, ValueError) as error:
+            raise LogError(
+                f"the metadata record {METADATA_NAME!r} is not ours or broken ({error})",
+                path=self._path,
+            ) from error
+        self._codecs: dict[int, _Decoder] = {}
+        self._channels = {kind: self._find(kind) for kind in _KINDS}
+        if not any(self._channels.values()):
+            raise LogError(_NO_CHANNELS, path=self._path)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> OutputLog:
+        """Open an output; it is a context manager that closes it.
+
+        Raises:
+            LogError: If it cannot be read, or holds no results.
+        """
+        reader = LogReader.open(path)
+        try:
+            return cls(reader)
+        except BaseException:
+            reader.close()
+            raise
+
+    def __enter__(self) -> OutputLog:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.reader.close()
+
+    @property
+    def model_name(self) -> str:
+        """Name of the model file."""
+        return self.metadata.get("model", MODEL_ATTACHMENT)
+
+    @property
+    def model_text(self) -> str:
+        """The model file.
+
+        Raises:
+            LogError: If it is not attached.
+        """
+        data = self.reader.attachment(MODEL_ATTACHMENT)
+        if data is None:
+            raise LogError(f"no attachment {MODEL_ATTACHMENT!r}", path=self._path)
+        return data.decode("utf-8", "replace")
+
+    def objects(self) -> tuple[ObjectEstimate, ...]:
+        """Latest estimate of every object; only the end of the log is read."""
+        channel = self._channels["objects"]
+        for start_ns in self._starts():
+            latest = None
+            for _, latest in self._payloads(channel, start_ns):  # noqa: B007
+                pass
+            if latest is not None:
+                return self._estimates(self._decode(channel, latest)["objects"])
+        return ()
+
+    def history(self, object_id: str | None = None) -> dict[str, tuple[ObjectEstimate, ...]]:
+        """Every estimate by object id, oldest first.
+
+        Args:
+            object_id: The one object wanted; all when None.
+        """
+        channel = self._channels["objects"]
+        history: dict[str, list[ObjectEstimate]] = {}
+        seen: dict[str, tuple[int, ...]] = {}
+        for _, payload in self._payloads(channel):
+            # Every message repeats the objects that did not change.
+            entries = [
+                entry
+                for entry in self._decode(channel, payload)["objects"]
+                if object_id in (None, entry["id"]) and seen.get(entry["id"]) != _version(entry)
+            ]
+            seen.update((entry["id"], _version(entry)) for entry in entries)
+            for estimate in self._estimates(entries):
+                history.setdefault(estimate.object_id, []).append(estimate)
+        return {name: tuple(estimates) for name, estimates in history.items()}
+
+    def maps(self) -> ClassMaps:
+        """Latest class maps, as precise as float32; only the end of the log is read.
+
+        Raises:
+            LogError: If there are none.
+        """
+        channel = self._channels["grid"]
+        for start_ns in self._starts():
+            latest = None
+            for latest in self._payloads(channel, start_ns):  # noqa: B007
+                pass
+            if latest is not None:
+                log_time_ns, payload = latest
+                return self._checked(_maps_from, self._decode(channel, payload), self, log_time_ns)
+        raise LogError("the output holds no class map", path=self._path)
+
+    def belief(self, object_id: str = "") -> tuple[BeliefBlock, ...]:
+        """All blocks of the latest belief, in order.
+
+        Args:
+            object_id: Of an object; empty for the grid.
+
+        Raises:
+            LogError: If there is none, or a block of it is missing.
+        """
+        return self._latest_belief(object_id, lambda block: block)
+
+    def belief_at(self, x: float, y: float, object_id: str = "") -> BeliefBlock:
+        """The latest belief of the one cell that holds a point.
+
+        Args:
+            x: In the world frame [m].
+            y: In the world frame [m].
+            object_id: Of an object; empty for the grid.
+
+        Returns:
+            A block of that cell alone; of no cell when nothing touched it.
+
+        Raises:
+            LogError: If there is no such belief.
+            UsageError: If the point lies outside of its grid.
+        """
+        blocks = self._latest_belief(object_id, lambda block: _only_cell(block, x, y))
+        return next((block for block in blocks if len(block.cells)), blocks[0])
+
+    def measurements(self) -> LabelMeasurements:
+        """The measurements that the estimate used, exactly.
+
+        Raises:
+            LogError: If there are none, or a part of them is missing.
+        """
+        channel = self._channels["measurements"]
+        blocks: dict[int, Mapping[str, Any]] = {}
+        for _, payload in self._payloads(channel):
+            value = self._decode(channel, payload)
+            blocks[value["block"]] = value
+        if not blocks:
+            raise LogError("the output holds no measurements", path=self._path)
+        expected = blocks[max(blocks)]["blocks"]
+        self._require_all(blocks.keys(), expected, "the measurements")
+        return self._checked(measurements_from, [blocks[number] for number in sorted(blocks)])
+
+    def _find(self, kind: str) -> ChannelInfo | None:
+        """The channel of one kind of result; of several the one that was added last."""
+        wanted = {(f"{self.prefix}/{name}", schema) for name, schema in _KINDS[kind]}
+        found = [
+            channel
+            for channel in self.reader.channels
+            if (channel.topic, channel.schema_name) in wanted
+        ]
+        return found[-1] if found else None
+
+    def _starts(self) -> Iterator[int | None]:
+        """Earliest log times to try, each reaching further back, None for all of the log.
+
+        What is latest stands near the end, so that most of the log need not be unpacked.
+        """
+        start_ns, end_ns = self.reader.start_ns, self.reader.end_ns
+        if start_ns is not None and end_ns is not None:
+            window = _FIRST_WINDOW_NS
+            while end_ns - window > start_ns:
+                yield end_ns - window
+                window *= _WINDOW_GROWTH
+        yield None
+
+    def _payloads(
+        self, channel: ChannelInfo | None, start_ns: int | None = None
+    ) -> Iterator[tuple[int, memoryview]]:
+        """Log time and bytes of every message, in file order."""
+        if channel is None:
+            return
+        for batch in self.reader.batches([channel.id], start_ns):
+            buffer = memoryview(batch.buffer)
+            for offset, length, log_time_ns in zip(
+                batch.offsets.tolist(),
+                batch.lengths.tolist(),
+                batch.log_times_ns.tolist(),
+                strict=True,
+            ):
+                yield log_time_ns, buffer[offset : offset + length]
+
+    def _decode(self, channel: ChannelInfo | None, payload: memoryview) -> dict[str, Any]:
+        """A message as value, by the schema that its channel embeds."""
+        assert channel is not None
+        try:
+            if channel.id not in self._codecs:
+                self._codecs[channel.id] = _codec(channel)
+            return self._codecs[channel.id].decode(payload)
+        except LogError as error:
+            raise LogError(str(error), path=self._path, topic=channel.topic) from error
+
+    def _estimates(self, entries: Sequence[Mapping[str, Any]]) -> tuple[ObjectEstimate, ...]:
+        return tuple(self._checked(estimate_from, entry, self.class_names) for entry in entries)
+
+    def _latest_belief(
+        self, object_id: str, pick: Callable[[BeliefBlock], BeliefBlock]
+    ) -> tuple[BeliefBlock, ...]:
+        """What ``pick`` takes out of each block of the latest belief."""
+        channel = self._channels["belief"]
+        for start_ns in self._starts():
+            blocks: dict[int, BeliefBlock] = {}
+            version = None
+            for _, payload in self._payloads(channel, start_ns):
+                value = self._decode(channel, payload)
+                if value["object_id"] != object_id:
+                    continue
+                block = self._checked(belief_from, value)
+                current = block.log_time_ns, block.stamp_ns, block.blocks
+                if current != version:
+                    blocks, version = {}, current
+                blocks[block.block] = pick(block)
+            if version is not None:
+                self._require_all(blocks.keys(), version[-1], "the belief")
+                return tuple(blocks[number] for number in sorted(blocks))
+        what = f"object {object_id[:80]!r}" if object_id else "the grid"
+        raise LogError(f"the output holds no belief of {what}", path=self._path)
+
+    def _require_all(self, present: Collection[int], expected: int, what: str) -> None:
+        missing = expected - len(present)
+        if missing:
+            raise LogError(f"{missing} of {expected} parts of {what} are lost", path=self._path)
+
+    def _checked(self, build: Callable[..., Result], *arguments: Any) -> Result:
+        """What ``build`` makes, its complaints naming the file.
+
+        A message of another version can lack what this one needs.
+        """
+        try:
+            return build(*arguments)
+        except LogError as error:
+            raise LogError(str(error), path=self._path) from error
+        except (KeyError, ValueError) as error:
+            raise LogError(
+                f"a message does not hold what it should ({error}); it may be of another version",
+                path=self._path,
+            ) from error
+
+
+def _codec(channel: ChannelInfo) -> _Decoder:
+    """Decoder of a channel of ours."""
+    if channel.message_encoding == "cdr":
+        text = channel.schema_data.decode("utf-8", "replace")
+        definitions = parse_definitions(channel.schema_name, text, "ros2msg")
+        return CdrCodec(definitions, normalise_name(channel.schema_name))
+    if channel.message_encoding == "json":
+        return proto_json.codec(channel.schema_name)
+    return protobuf.codec(channel.schema_name)
+
+
+def _version(entry: Mapping[str, Any]) -> tuple[int, ...]:
+    """What differs between two estimates of one object."""
+    return entry["measurements"], entry["stamp_ns"], entry["log_time_ns"]
+
+
+def _maps_from(value: Mapping[str, Any], output: OutputLog, log_time_ns: int) -> ClassMaps:
+    """Class maps from Foxglove's grid, be it ROS or protobuf."""
+    stamp = value["timestamp"]
+    seconds = stamp["sec" if "sec" in stamp else "seconds"]
+    nanoseconds = stamp["nanosec" if "nanosec" in stamp else "nanos"]
+    columns, cell_stride = value["column_count"], value["cell_stride"]
+    data = np.frombuffer(value["data"], np.uint8)
+    if not columns or not cell_stride or len(data) % (columns * cell_stride):
+        raise LogError(f"a grid of {len(data)} bytes cannot have {columns} columns")
+    corner = value["pose"]["position"]
+    grid = Grid(
+        (corner["x"], corner["y"]),
+        value["cell_size"]["x"],
+        len(data) // (columns * cell_stride),
+        columns,
+    )
+    fields = tuple((field["name"], field["offset"], field["type"]) for field in value["fields"])
+    packed = PackedCells(fields, cell_stride, data.reshape(-1, cell_stride))
+    return unpack_cells(
+        packed,
+        (BACKGROUND, *output.class_names),
+        grid,
+        seconds * NANOSECONDS + nanoseconds,
+        log_time_ns,
+    )
+
+
+def _only_cell(block: BeliefBlock, x: float, y: float) -> BeliefBlock:
+    """The block without all other cells; copied, so that the message can be forgotten."""
+    grid = block.grid
+    cell = grid.cell_at(x, y)
+    if cell is None:
+        low_x, low_y = grid.origin
+        high_x = low_x + grid.columns * grid.cell_size
+        high_y = low_y + grid.rows * grid.cell_size
+        raise UsageError(
+            f"({x:g}, {y:g}) m lies outside of the grid, which spans x {low_x:g} to {high_x:g} m "
+            f"and y {low_y:g} to {high_y:g} m"
+        )
+    rows = np.flatnonzero(block.cells == cell)
+    return replace(
+        block,
+        cells=block.cells[rows],
+        log_cell_mass=block.log_cell_mass[rows],
+        log_class_probability=block.log_class_probability[rows],
+        log_density=block.log_density[rows],
+        measurements=block.measurements[rows],
+    )
