@@ -8,7 +8,7 @@ that hold messages are the spans of the next level.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,9 @@ from mclass.logs.decode.wireformat import (
     VARINT,
     WORD32,
     WORD64,
+    Cut,
     Records,
+    Spans,
     cut_records,
     unpack_varints,
 )
@@ -74,25 +76,47 @@ class ProtobufDecoder(ChannelDecoder):
         buffer = np.frombuffer(batch.buffer, dtype=np.uint8)
         begin = batch.offsets[rows]
         messages = np.arange(len(rows), dtype=np.int64)
-        spans = _Spans(begin, begin + batch.lengths[rows], messages)
+        spans = Spans(begin, begin + batch.lengths[rows], messages)
         walk = _Walk(buffer)
-        walk.read_node(self._select(frozenset(wanted)), spans, messages, ())
+        walk.read_node(self._select(frozenset(wanted)), _Rows(spans, messages, messages, ()))
         return walk.columns
 
 
 @dataclass(frozen=True)
-class _Spans:
-    """Where messages lie: one span each, or several to be merged, or none if left out.
+class _Rows:
+    """The messages of one level, each in one span, in several to be merged, or in none.
 
     Attributes:
-        at: Where each span starts, (s,).
-        end: Where each span ends, (s,).
-        item: Row, at this level, that each span belongs to, (s,).
+        spans: Where they lie.
+        row: The row that each span belongs to, (s,), increasing.
+        message: The message, of the batch, that each row belongs to, (m,).
+        levels: Offsets of the sequences around, outermost first.
     """
 
-    at: IntArray
-    end: IntArray
-    item: IntArray
+    spans: Spans
+    row: IntArray
+    message: IntArray
+    levels: tuple[IntArray, ...]
+
+    def fill(self, found: Records, values: npt.NDArray[Any], default: Any) -> Column:
+        """Column of a single field from its records' values; the last in a row holds."""
+        filled = np.full(len(self.message), default, dtype=values.dtype)
+        filled[self.row[found.span]] = values
+        return Column(filled, self.levels)
+
+    def list(self, found: Records, values: npt.NDArray[Any], counts: IntArray | None) -> Column:
+        """Column of a repeated field whose records hold ``counts`` values, or one each."""
+        per_row = np.bincount(self.row[found.span], counts, minlength=len(self.message))
+        return Column(values, (*self.levels, offsets_from(per_row.astype(np.int64))))
+
+    def inner(self, found: Records, *, repeated: bool) -> _Rows:
+        """The messages in these records."""
+        row = self.row[found.span]
+        spans = Spans(found.at, found.at + found.value, self.message[row])
+        if not repeated:
+            return _Rows(spans, row, self.message, self.levels)
+        offsets = offsets_from(np.bincount(row, minlength=len(self.message)))
+        return _Rows(spans, np.arange(len(row)), spans.message, (*self.levels, offsets))
 
 
 @dataclass
@@ -102,68 +126,38 @@ class _Walk:
     buffer: ByteArray
     columns: dict[str, Column] = field(default_factory=dict)
 
-    def read_node(
-        self, node: Node, spans: _Spans, messages: IntArray, levels: tuple[IntArray, ...]
-    ) -> None:
-        """Read what is wanted of all messages of one level.
-
-        Args:
-            node: Wanted fields.
-            spans: Where the messages lie.
-            messages: The batch's message that each row of this level belongs to, (m,).
-            levels: Offsets of the sequences around, outermost first.
-        """
-        owners = messages[spans.item]
-        records = cut_records(self.buffer, spans.at, spans.end, owners, node.numbers)
+    def read_node(self, node: Node, rows: _Rows) -> None:
+        """Read what is wanted of all messages of one level."""
+        cut = cut_records(self.buffer, rows.spans, node.fields.keys())
         for number, item in node.fields.items():
-            found = records.of_field(number)
-            fits = np.isin(found.wire, _wire_types(item))
-            if not fits.all():
-                # As in protobuf itself: what has another type than the schema's is unknown.
-                found = found.take(fits)
-            rows = spans.item[found.span]
-            if isinstance(item, Leaf) and item.type != _Type.TYPE_MESSAGE:
-                self.read_leaf(item, found, rows, messages, levels)
-                continue
-            inner = _Spans(found.at, found.at + found.value, rows)
-            inner_messages, inner_levels = messages, levels
-            if item.repeated:
-                inner = replace(inner, item=np.arange(len(rows), dtype=np.int64))
-                inner_messages = messages[rows]
-                inner_levels = (*levels, offsets_from(np.bincount(rows, minlength=len(messages))))
-            if isinstance(item, Leaf):
-                values = self.stamps(inner, inner_messages)
-                self.columns[item.path] = Column(values, inner_levels)
+            # As in protobuf itself: what has another wire type than the schema's is unknown.
+            if isinstance(item, Branch):
+                inner = rows.inner(cut.of(number, BLOB), repeated=item.repeated)
+                self.read_node(item.node, inner)
+            elif item.type == _Type.TYPE_MESSAGE:
+                inner = rows.inner(cut.of(number, BLOB), repeated=item.repeated)
+                self.columns[item.path] = self.stamps(inner)
+            elif item.kind in ("string", "bytes"):
+                found = cut.of(number, BLOB)
+                values = self.texts(item, found)
+                self.columns[item.path] = (
+                    rows.list(found, values, None)
+                    if item.repeated
+                    else rows.fill(found, values, item.default)
+                )
+            elif item.repeated:
+                self.columns[item.path] = self.number_lists(item, cut, number, rows)
             else:
-                self.read_node(item.node, inner, inner_messages, inner_levels)
+                found = cut.of(number, _wire_type(item))
+                self.columns[item.path] = rows.fill(found, self.numbers(item, found), item.default)
 
-    def read_leaf(
-        self,
-        leaf: Leaf,
-        found: Records,
-        rows: IntArray,
-        messages: IntArray,
-        levels: tuple[IntArray, ...],
-    ) -> None:
-        """Read a leaf from its records, each of which belongs to a row of this level."""
-        counts = np.ones(len(rows), dtype=np.int64)
-        values: npt.NDArray[Any]
+    def texts(self, leaf: Leaf, found: Records) -> npt.NDArray[np.object_]:
+        """The string or bytes in each record."""
         if leaf.kind == "string":
-            values = read_texts(self.buffer, found.at, found.value)
-        elif leaf.kind == "bytes":
-            values = np.empty(len(rows), dtype=object)
-            values[:] = read_bytes(self.buffer, found.at, found.value)
-        elif leaf.repeated:
-            values, counts = self.packed_numbers(leaf, found, messages[rows])
-        else:
-            values = self.numbers(leaf, found)
-        if leaf.repeated:
-            per_row = np.bincount(rows, counts, minlength=len(messages)).astype(np.int64)
-            self.columns[leaf.path] = Column(values, (*levels, offsets_from(per_row)))
-        else:
-            filled = np.full(len(messages), leaf.default, dtype=values.dtype)
-            filled[rows] = values
-            self.columns[leaf.path] = Column(filled, levels)
+            return read_texts(self.buffer, found.at, found.value)
+        values = np.empty(len(found.at), dtype=object)
+        values[:] = read_bytes(self.buffer, found.at, found.value)
+        return values
 
     def numbers(self, leaf: Leaf, found: Records) -> npt.NDArray[Any]:
         """The number in each record."""
@@ -175,53 +169,47 @@ class _Walk:
             return values
         return values.astype(np.float64 if dtype.kind == "f" else np.int64)
 
-    def packed_numbers(
-        self, leaf: Leaf, found: Records, messages: IntArray
-    ) -> tuple[npt.NDArray[Any], IntArray]:
-        """The numbers of records that hold one or are packed, and how many each holds."""
-        counts = np.ones(len(found.at), dtype=np.int64)
-        single = self.numbers(leaf, found.take(found.wire != BLOB))
-        is_packed = found.wire == BLOB
-        if not is_packed.any():
-            return single, counts
-        packed = found.take(is_packed)
+    def number_lists(self, leaf: Leaf, cut: Cut, number: int, rows: _Rows) -> Column:
+        """Numbers of a repeated field, which are packed or have a record each."""
+        single, packed = cut.of(number, _wire_type(leaf)), cut.of(number, BLOB)
+        values = self.numbers(leaf, single)
+        if not len(packed.at):
+            return rows.list(single, values, None)
+        blobs = rows.inner(packed, repeated=False).spans
         dtype = FIXED_TYPES.get(leaf.type)
         if dtype is None:
-            bits, counts[is_packed] = unpack_varints(
-                self.buffer, packed.at, packed.value, messages[is_packed]
-            )
-            values = _from_varints(bits, leaf.type)
+            bits, counts = unpack_varints(self.buffer, blobs)
+            unpacked = _from_varints(bits, leaf.type)
         else:
-            demand(packed.value % dtype.itemsize == 0, messages[is_packed], BAD_PACKING)
-            counts[is_packed] = packed.value // dtype.itemsize
-            values = read_rows(self.buffer, packed.at, counts[is_packed], dtype)
-        if len(single):
-            first = offsets_from(counts)[:-1]
-            joined = np.empty(counts.sum(), dtype=values.dtype)
-            joined[first[~is_packed]] = single
-            joined[spread(first[is_packed], counts[is_packed])] = values
-            values = joined
-        return values, counts
+            demand(packed.value % dtype.itemsize == 0, blobs.message, BAD_PACKING)
+            counts = packed.value // dtype.itemsize
+            unpacked = read_rows(self.buffer, packed.at, counts, dtype)
+        if not len(single.at):
+            return rows.list(packed, unpacked, counts)
+        # Both in one batch: put the records back in the order in which they lie.
+        span = np.concatenate([single.span, packed.span])
+        at = np.concatenate([single.at, packed.at])
+        sizes = np.concatenate([np.ones_like(single.at), counts])
+        order = np.lexsort((at, span))
+        starts = np.empty_like(at)
+        starts[order] = offsets_from(sizes[order])[:-1]
+        joined = np.concatenate([values, unpacked])
+        joined[spread(starts, sizes)] = np.concatenate([values, unpacked])
+        return rows.list(Records(span, at, sizes), joined, sizes)
 
-    def stamps(self, spans: _Spans, messages: IntArray) -> IntArray:
+    def stamps(self, rows: _Rows) -> Column:
         """Nanoseconds of Timestamp or Duration messages."""
         walk = _Walk(self.buffer)
-        walk.read_node(_STAMP, spans, messages, ())
+        walk.read_node(_STAMP, rows)
         seconds = walk.columns["seconds"].values
-        demand(np.abs(seconds) <= _MAX_SECONDS, messages, BAD_STAMP)
-        values: IntArray = seconds * 1_000_000_000 + walk.columns["nanos"].values
-        return values
+        demand(np.abs(seconds) <= _MAX_SECONDS, rows.message, BAD_STAMP)
+        return Column(seconds * 1_000_000_000 + walk.columns["nanos"].values, rows.levels)
 
 
-def _wire_types(item: Leaf | Branch) -> tuple[int, ...]:
-    """Wire types that a field of this type can have."""
-    if isinstance(item, Branch) or item.kind in ("string", "bytes"):
-        return (BLOB,)
-    if item.type == _Type.TYPE_MESSAGE:
-        return (BLOB,)
-    dtype = FIXED_TYPES.get(item.type)
-    wire = VARINT if dtype is None else WORD64 if dtype.itemsize == 8 else WORD32
-    return (wire, BLOB) if item.repeated else (wire,)
+def _wire_type(leaf: Leaf) -> int:
+    """Wire type of a number that is not packed."""
+    dtype = FIXED_TYPES.get(leaf.type)
+    return VARINT if dtype is None else WORD64 if dtype.itemsize == 8 else WORD32
 
 
 def _from_varints(bits: IntArray, field_type: int) -> npt.NDArray[Any]:

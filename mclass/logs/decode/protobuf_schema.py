@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -91,11 +90,6 @@ class Node:
     """The fields of a message by number."""
 
     fields: Mapping[int, Leaf | Branch]
-
-    @cached_property
-    def numbers(self) -> frozenset[int]:
-        """Field numbers."""
-        return frozenset(self.fields)
 
     def select(self, wanted: frozenset[str]) -> Node:
         """The same tree with these leaves only."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Set
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,181 +21,201 @@ BAD_TAG = "no protobuf field has this type or number"
 VARINT, WORD64, BLOB, WORD32 = 0, 1, 2, 5
 """Wire types that are in use; groups (3 and 4) are not supported."""
 
-# Payload bytes by wire type, without those that a varint tells; -1 for wire types not in use.
-_SIZES = np.array([0, 8, 0, -1, -1, 4, -1, -1], dtype=np.int64)
+# Bytes of a payload behind its varint, if it has one, by wire type.
+_WIRES = {VARINT: 0, WORD64: 8, BLOB: 0, WORD32: 4}
+_NONE = np.empty(0, dtype=np.int64)
 _MAX_NUMBER = (1 << 29) - 1
 _MAX_VARINT = 10
 
 
 @dataclass(frozen=True)
+class Spans:
+    """Stretches of bytes.
+
+    Attributes:
+        at: Where each starts, (s,).
+        end: Where each ends, (s,).
+        message: The message, of the batch, that each belongs to, (s,).
+    """
+
+    at: IntArray
+    end: IntArray
+    message: IntArray
+
+    def take(self, index: npt.NDArray[Any]) -> Spans:
+        """Some of the spans."""
+        return Spans(self.at[index], self.end[index], self.message[index])
+
+
+@dataclass(frozen=True)
 class Records:
-    """Fields found in spans.
+    """Fields of one number and wire type, by span and within a span as they lie there.
 
     Attributes:
         span: Index of the span that each lies in, (r,).
-        number: Field number, (r,).
-        wire: Wire type, (r,).
         at: Position of the payload in the buffer, (r,); behind the length for a ``BLOB``.
         value: A varint's value (its 64 bits, signed), a ``BLOB``'s length, else 0, (r,).
     """
 
     span: IntArray
-    number: IntArray
-    wire: IntArray
     at: IntArray
     value: IntArray
 
     def take(self, index: npt.NDArray[Any]) -> Records:
         """Some of the records."""
-        return Records(
-            self.span[index],
-            self.number[index],
-            self.wire[index],
-            self.at[index],
-            self.value[index],
+        return Records(self.span[index], self.at[index], self.value[index])
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The records of spans; ``parts`` holds those of each field number and wire type."""
+
+    parts: Mapping[tuple[int, int], Sequence[Records]]
+
+    def of(self, number: int, wire: int) -> Records:
+        """All records of a field that have this wire type."""
+        parts = self.parts.get((number, wire), ())
+        if len(parts) == 1:
+            return parts[0]
+        span, at, value = (
+            np.concatenate([_NONE, *(getattr(part, name) for part in parts)])
+            for name in ("span", "at", "value")
         )
-
-    def of_field(self, number: int) -> Records:
-        """Those of one field, by span and within a span as they lie there."""
-        found = self.take(np.flatnonzero(self.number == number))
-        if (found.span[1:] < found.span[:-1]).any():
-            return found.take(np.argsort(found.span, kind="stable"))
-        return found
+        return Records(span, at, value).take(np.argsort(span, kind="stable"))
 
 
-def read_varints(
-    buffer: ByteArray, at: IntArray, end: IntArray, messages: IntArray
-) -> tuple[IntArray, IntArray]:
-    """Varints that start at these positions, all before ``end``.
+def read_varints(buffer: ByteArray, spans: Spans) -> tuple[IntArray, IntArray]:
+    """The varint that each span, none of them empty, starts with.
 
     Returns:
         Their 64 bits as signed numbers, and their sizes [bytes], (n,) each.
 
     Raises:
-        DamagedError: If one reaches beyond its end, or beyond ten bytes.
+        DamagedError: If one reaches beyond its span, or beyond ten bytes.
     """
-    first = buffer[at]
-    sizes = np.ones(len(at), dtype=np.int64)
+    first = buffer[spans.at]
+    sizes = np.ones(len(first), dtype=np.int64)
     more = np.flatnonzero(first >= 0x80)
     if not len(more):
         return first.astype(np.int64), sizes
     values = (first & 0x7F).astype(np.uint64)
     for count in range(1, _MAX_VARINT):
-        position = at[more] + count
-        demand(position < end[more], messages[more], BAD_VARINT)
+        position = spans.at[more] + count
+        demand(position < spans.end[more], spans.message[more], BAD_VARINT)
         byte = buffer[position]
         values[more] |= (byte & 0x7F).astype(np.uint64) << np.uint64(7 * count)
         sizes[more] += 1
         more = more[byte >= 0x80]
         if not len(more):
             return values.view(np.int64), sizes
-    raise DamagedError([(BAD_VARINT, messages[more])])
+    raise DamagedError([(BAD_VARINT, spans.message[more])])
 
 
-def cut_records(
-    buffer: ByteArray, at: IntArray, end: IntArray, messages: IntArray, wanted: Set[int]
-) -> Records:
+def cut_records(buffer: ByteArray, spans: Spans, wanted: Set[int]) -> Cut:
     """Cut spans into records and keep those of the wanted fields.
-
-    Args:
-        buffer: Bytes that hold all spans.
-        at: Where each span starts, (s,).
-        end: Where each span ends, (s,).
-        messages: The message that each span belongs to, (s,).
-        wanted: Field numbers.
 
     Raises:
         DamagedError: If a span is not made of records.
     """
-    wanted_numbers = np.array(sorted(wanted), dtype=np.int64)
-    rounds = [Records(*(np.empty(0, dtype=np.int64) for _ in range(5)))]
+    parts: dict[tuple[int, int], list[Records]] = defaultdict(list)
     found: list[tuple[str, IntArray]] = []
-    active = np.flatnonzero(at < end)
-    at = at.copy()
-    while len(active) >= NARROW:
+    index = np.flatnonzero(spans.at < spans.end)
+    rest = spans.take(index)
+    while len(index) >= NARROW:
         try:
-            record, stop = _next_records(buffer, at[active], end[active], messages[active])
+            stops = _cut_next(buffer, rest, index, wanted, parts)
         except DamagedError as damage:
             found += damage.found
-            active = active[~np.isin(messages[active], damage.messages)]
-            continue
-        rounds.append(_wanted_records(record, active, wanted_numbers))
-        at[active] = stop
-        active = active[stop < end[active]]
-    rows: list[tuple[int, int, int, int, int]] = []
-    view = buffer.data
-    for span in active.tolist():
+            going = ~np.isin(rest.message, damage.messages)
+        else:
+            rest = Spans(stops, rest.end, rest.message)
+            going = stops < rest.end
+        if not going.all():
+            rest, index = rest.take(going), index[going]
+    rows: dict[tuple[int, int], list[tuple[int, int, int]]] = defaultdict(list)
+    for span, at, end in zip(index.tolist(), rest.at.tolist(), rest.end.tolist(), strict=True):
         try:
-            cut = _cut_span(view, int(at[span]), int(end[span]), wanted)
-            rows.extend((span, *row) for row in cut)
+            for number, wire, start, value in _cut_span(buffer.data, at, end):
+                if number in wanted:
+                    rows[number, wire].append((span, start, value))
         except CutError as error:  # noqa: PERF203
-            found.append((str(error), messages[span : span + 1]))
+            found.append((str(error), spans.message[span : span + 1]))
     if found:
         raise DamagedError(found)
-    if rows:
-        rounds.append(Records(*np.array(rows, dtype=np.int64).T))
-    return Records(
-        np.concatenate([part.span for part in rounds]),
-        np.concatenate([part.number for part in rounds]),
-        np.concatenate([part.wire for part in rounds]),
-        np.concatenate([part.at for part in rounds]),
-        np.concatenate([part.value for part in rounds]),
-    )
+    for key, values in rows.items():
+        parts[key].append(Records(*np.array(values, dtype=np.int64).T))
+    return Cut(parts)
 
 
-def _next_records(
-    buffer: ByteArray, at: IntArray, end: IntArray, messages: IntArray
-) -> tuple[Records, IntArray]:
-    """The record at each cursor, with the cursor's index as span, and where it ends."""
-    heads, sizes = read_varints(buffer, at, end, messages)
-    wires, numbers = heads & 7, heads >> 3
-    payload_sizes = _SIZES[wires]
-    demand((payload_sizes >= 0) & (numbers > 0) & (numbers <= _MAX_NUMBER), messages, BAD_TAG)
+def _cut_next(
+    buffer: ByteArray,
+    spans: Spans,
+    index: IntArray,
+    wanted: Set[int],
+    parts: dict[tuple[int, int], list[Records]],
+) -> IntArray:
+    """Add the next record of all spans, which bear these indices; where each ends, (s,)."""
+    first = buffer[spans.at]
+    if first[0] < 0x80 and (first == first[0]).all():
+        # The spans mostly come from one writer, and it writes fields in one order.
+        head = int(first[0])
+        at, values, stops = _read_payloads(buffer, head, spans.at + 1, spans)
+        if head >> 3 in wanted:
+            parts[head >> 3, head & 7].append(Records(index, at, values))
+        return stops
+    heads, sizes = read_varints(buffer, spans)
+    stops = spans.at + sizes
+    for wire in np.unique(heads & 7).tolist():
+        alike = np.flatnonzero(heads & 7 == wire)
+        numbers = heads[alike] >> 3
+        demand((numbers > 0) & (numbers <= _MAX_NUMBER), spans.message[alike], BAD_TAG)
+        at, values, stops[alike] = _read_payloads(buffer, 8 | wire, stops[alike], spans.take(alike))
+        for number in wanted & set(numbers.tolist()):
+            chosen = np.flatnonzero(numbers == number)
+            records = Records(index[alike[chosen]], at[chosen], values[chosen])
+            parts[number, wire].append(records)
+    return stops
+
+
+def _read_payloads(
+    buffer: ByteArray, head: int, at: IntArray, spans: Spans
+) -> tuple[IntArray, IntArray, IntArray]:
+    """``at`` and ``value`` of records with this head, which ends at ``at``, and their ends."""
+    wire = head & 7
+    if head <= 7 or wire not in _WIRES:
+        raise DamagedError([(BAD_TAG, spans.message)])
+    if wire in (WORD64, WORD32):
+        stops = at + _WIRES[wire]
+        demand(stops <= spans.end, spans.message, CUT_SHORT)
+        return at, np.zeros_like(at), stops
+    demand(at < spans.end, spans.message, CUT_SHORT)
+    values, sizes = read_varints(buffer, Spans(at, spans.end, spans.message))
+    if wire == VARINT:
+        return at, values, at + sizes
     at = at + sizes
-    varying = np.flatnonzero(payload_sizes == 0)
-    values = np.zeros(len(at), dtype=np.int64)
-    if len(varying):
-        demand(at[varying] < end[varying], messages[varying], CUT_SHORT)
-        values[varying], sizes = read_varints(buffer, at[varying], end[varying], messages[varying])
-        is_blob = wires[varying] == BLOB
-        at[varying] += np.where(is_blob, sizes, 0)
-        payload_sizes[varying] = np.where(is_blob, values[varying], sizes)
-    demand((payload_sizes >= 0) & (payload_sizes <= end - at), messages, CUT_SHORT)
-    return Records(np.arange(len(at)), numbers, wires, at, values), at + payload_sizes
+    demand((values >= 0) & (values <= spans.end - at), spans.message, CUT_SHORT)
+    return at, values, at + values
 
 
-def _wanted_records(records: Records, spans: IntArray, wanted: IntArray) -> Records:
-    """Those of the wanted fields, with their true spans."""
-    records = Records(spans, records.number, records.wire, records.at, records.value)
-    if (records.number == records.number[0]).all():
-        return records if records.number[0] in wanted else records.take(np.arange(0))
-    return records.take(np.flatnonzero(np.isin(records.number, wanted)))
-
-
-def _cut_span(
-    buffer: memoryview, at: int, end: int, wanted: Set[int]
-) -> Iterator[tuple[int, int, int, int]]:
-    """The records of one span: all that ``Records`` tells of each but its span."""
+def _cut_span(buffer: memoryview, at: int, end: int) -> Iterator[tuple[int, int, int, int]]:
+    """Number, wire type, payload's place and value of the records of one span."""
     while at < end:
         head, at = _varint(buffer, at, end)
         wire, number = head & 7, head >> 3
         value = 0
         start = at
-        if not 0 < number <= _MAX_NUMBER:
+        if not 0 < number <= _MAX_NUMBER or wire not in _WIRES:
             raise CutError(BAD_TAG)
         if wire == VARINT:
             value, at = _varint(buffer, at, end)
         elif wire == BLOB:
             value, start = _varint(buffer, at, end)
             at = start + value
-        elif wire in (WORD64, WORD32):
-            at += 8 if wire == WORD64 else 4
         else:
-            raise CutError(BAD_TAG)
+            at += _WIRES[wire]
         if at > end:
             raise CutError(CUT_SHORT)
-        if number in wanted:
-            yield number, wire, start, value - (value >> 63 << 64)
+        yield number, wire, start, value - (value >> 63 << 64)
 
 
 def _varint(buffer: memoryview, at: int, end: int) -> tuple[int, int]:
@@ -211,10 +232,8 @@ def _varint(buffer: memoryview, at: int, end: int) -> tuple[int, int]:
     raise CutError(BAD_VARINT)
 
 
-def unpack_varints(
-    buffer: ByteArray, at: IntArray, lengths: IntArray, messages: IntArray
-) -> tuple[IntArray, IntArray]:
-    """Varints that fill blobs.
+def unpack_varints(buffer: ByteArray, blobs: Spans) -> tuple[IntArray, IntArray]:
+    """The varints that blobs are filled with.
 
     Returns:
         The 64 bits of all, as signed numbers, and how many each blob holds, (b,).
@@ -222,15 +241,15 @@ def unpack_varints(
     Raises:
         DamagedError: If a blob does not end with its last varint, or one is too long.
     """
-    joined = read_rows(buffer, at, lengths, np.dtype(np.uint8))
+    lengths = blobs.end - blobs.at
+    joined = read_rows(buffer, blobs.at, lengths, np.dtype(np.uint8))
     offsets = offsets_from(lengths)
     is_last = joined < 0x80
     filled = lengths > 0
-    demand(is_last[offsets[1:][filled] - 1], messages[filled], BAD_VARINT)
+    demand(is_last[offsets[1:][filled] - 1], blobs.message[filled], BAD_VARINT)
     counts = np.diff(offsets_from(is_last.astype(np.int64))[offsets])
     stops = np.flatnonzero(is_last) + 1
-    starts = np.concatenate([[0], stops[:-1]]).astype(np.int64)[: len(stops)]
-    owners = np.repeat(messages, counts)
-    demand(stops - starts <= _MAX_VARINT, owners, BAD_VARINT)
-    values, _ = read_varints(joined, starts, stops, owners)
+    starts = np.roll(stops, 1)
+    starts[:1] = 0
+    values, _ = read_varints(joined, Spans(starts, stops, np.repeat(blobs.message, counts)))
     return values, counts
