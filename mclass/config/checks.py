@@ -238,7 +238,7 @@ def text(value: Value) -> str:
         value.fail(f"must be text, not {describe(value)}")
     if value.is_empty:
         value.fail("has no value; give one, in quotes if it is meant to be that text")
-    problem = _text_problem(value.node)
+    problem = text_problem(value.node)
     if problem:
         value.fail(problem)
     return str(value.node.value)
@@ -272,8 +272,10 @@ def number(
         scaled = given * scale
         if scaled <= above:
             value.fail(f"must be greater than {above / scale:g}, not {given:g}")
-        if not minimum <= scaled <= maximum:
-            value.fail(f"must be {_bounds(minimum / scale, maximum / scale)}, not {given:g}")
+        if scaled < minimum:
+            value.fail(f"must be at least {minimum / scale:g}, not {given:g}")
+        if scaled > maximum:
+            value.fail(f"must be at most {maximum / scale:g}, not {given:g}")
         return scaled
 
     return read
@@ -353,10 +355,10 @@ def _pairs(
 
 def _name(node: yaml.ScalarNode) -> str:
     """What is wrong with a key as a name."""
-    return _text_problem(node) if node.value else "a name cannot be empty"
+    return text_problem(node) if node.value else "a name cannot be empty"
 
 
-def _text_problem(node: yaml.ScalarNode) -> str:
+def text_problem(node: yaml.ScalarNode) -> str:
     """What is wrong with a scalar as text."""
     given = node.value
     if len(given) > _MAX_TEXT:
@@ -403,14 +405,6 @@ def _number_problem(value: Value) -> str:
         return f"must be a finite number, not {given}"
     hints = [hint for slip, hint in _SLIPS if slip.fullmatch(given)]
     return "; ".join([problem, *hints[:1]])
-
-
-def _bounds(minimum: float, maximum: float) -> str:
-    if math.isinf(minimum):
-        return f"at most {maximum:g}"
-    if math.isinf(maximum):
-        return f"at least {minimum:g}"
-    return f"between {minimum:g} and {maximum:g}"
 
 
 def _join(key: str, name: str) -> str:

@@ -22,7 +22,7 @@ from yaml.scanner import Scanner
 from mclass.errors import ConfigError, ConfigProblem
 
 MAX_BYTES = 1_000_000
-"""A model with a hundred classes that are all confused with each other fits ten times."""
+"""Twenty times a model of a hundred classes, each mistaken for five others."""
 MAX_DEPTH = 32
 """A model file needs eight levels."""
 MAX_NODES = 50_000
