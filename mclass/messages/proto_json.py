@@ -140,7 +140,7 @@ class JsonCodec:
                 raise TypeError(f"{field.name} is text, not {type(given).__name__}")
             return given or ""
         if field.type in _REAL:
-            return float(given or 0.0)
+            return 0.0 if given is None else float(given)
         return bool(given) if field.type == _F.TYPE_BOOL else int(given or 0)
 
 
