@@ -47,6 +47,12 @@ def is_known_model(model: str) -> bool:
     return model.lower() in _PINHOLE | _BROWN_CONRADY | _EQUIDISTANT
 
 
+def has_focal_length(intrinsics: FloatArray) -> BoolArray:
+    """Which rows of intrinsics (n, 4) are those of a camera that was calibrated, (n,)."""
+    focal = np.abs(intrinsics[:, :2]) > 1e-9
+    return transforms.finite_rows(intrinsics) & focal[:, 0] & focal[:, 1]
+
+
 def pixel_rays(
     calibrations: Calibrations, rows: IntArray, pixels: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
@@ -66,13 +72,9 @@ def pixel_rays(
         ModelError: If the model is unknown or has more coefficients than it can have.
     """
     intrinsics, name = calibrations.intrinsics, calibrations.model.lower()
-    usable = np.asarray(
-        np.isfinite(intrinsics).all(axis=1)
-        & (np.abs(intrinsics[:, :2]) > 1e-9).all(axis=1)
-        & np.isfinite(calibrations.coefficients).all(axis=1)
-    )
+    usable = has_focal_length(intrinsics) & transforms.finite_rows(calibrations.coefficients)
     intrinsics = np.where(usable[:, None], intrinsics, 1.0)[rows]
-    good = usable[rows] & np.isfinite(pixels).all(axis=1)
+    good = usable[rows] & transforms.finite_rows(pixels)
     points = np.where(good[:, None], (pixels - intrinsics[:, 2:]) / intrinsics[:, :2], 0.0)
     if name in _PINHOLE:
         rays, solved = _append_one(points), np.ones(len(points), bool)

@@ -75,6 +75,11 @@ def normalize_quaternions(quaternions: FloatArray) -> tuple[FloatArray, BoolArra
     return safe / np.linalg.norm(safe, axis=-1, keepdims=True), valid
 
 
+def finite_rows(values: FloatArray) -> BoolArray:
+    """Which rows of an array (n, k) hold finite numbers only, (n,)."""
+    return np.asarray(np.isfinite(values).all(axis=1))
+
+
 def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
     """Hamilton product: rotation b, then a, (..., 4)."""
     ax, ay, az, aw = np.moveaxis(a, -1, 0)
@@ -268,6 +273,11 @@ class TransformTree:
             neighbours.setdefault(link.parent, {}).setdefault(link.child, (link, True))
             neighbours.setdefault(link.child, {}).setdefault(link.parent, (link, False))
         object.__setattr__(self, "_neighbours", neighbours)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """All frames, in the order of the links."""
+        return tuple(self._neighbours)
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._neighbours

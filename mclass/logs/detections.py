@@ -1,0 +1,270 @@
+"""Detections as columns, whatever message type they came in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mclass.errors import LogError
+from mclass.logs.fields import BoxFields, DetectionFields
+from mclass.logs.tables import Table, level_of
+from mclass.records import BoolArray, FloatArray, IntArray
+
+TextArray = npt.NDArray[np.object_]
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Everything that detectors returned, as they returned it.
+
+    A *look* is one message: one image or scan, at one instant, from one sensor.
+
+    Attributes:
+        topics: Topic of each look, (m,).
+        stamps_ns: Header stamp of each look [ns], 0 where there is none, (m,).
+        log_times_ns: Its log time [ns], (m,).
+        frame_names: Its sensor's frame, empty if the message does not say, (m,).
+        look_index: Look of each detection, (n,).
+        ids: Object id of each detection, empty for none, (n,).
+        has_box: Which detections have an image box, (n,).
+        boxes: Left, top, right, bottom [pixel], (n, 4); NaN without a box.
+        bearings: Right and left [rad] in the sensor's frame, (n, 2); NaN without.
+        has_volume: Which detections have a 3-D box, (n,).
+        volumes: Its position (3), orientation (4) and size (3) in the sensor's frame, (n, 10).
+        label_detection: Detection of each label, non-decreasing, (k,).
+        labels: Label names as the detector gives them, (k,).
+        scores: Their scores, 1 where the detector gives none, (k,).
+    """
+
+    topics: TextArray
+    stamps_ns: IntArray
+    log_times_ns: IntArray
+    frame_names: TextArray
+    look_index: IntArray
+    ids: TextArray
+    has_box: BoolArray
+    boxes: FloatArray
+    bearings: FloatArray
+    has_volume: BoolArray
+    volumes: FloatArray
+    label_detection: IntArray
+    labels: TextArray
+    scores: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.look_index)
+
+    @property
+    def n_looks(self) -> int:
+        """Number of looks."""
+        return len(self.stamps_ns)
+
+
+def join_detections(parts: Sequence[Detections]) -> Detections:
+    """Detections of several channels as one."""
+    if len(parts) == 1:
+        return parts[0]
+    looks = np.cumsum([0, *(part.n_looks for part in parts)])
+    counts = np.cumsum([0, *(len(part) for part in parts)])
+
+    def joined(name: str, shifts: IntArray | None = None) -> npt.NDArray[Any]:
+        columns = [getattr(part, name) for part in parts]
+        if shifts is not None:
+            columns = [column + shift for column, shift in zip(columns, shifts, strict=False)]
+        return np.concatenate(columns)
+
+    return Detections(
+        topics=joined("topics"),
+        stamps_ns=joined("stamps_ns"),
+        log_times_ns=joined("log_times_ns"),
+        frame_names=joined("frame_names"),
+        look_index=joined("look_index", looks),
+        ids=joined("ids"),
+        has_box=joined("has_box"),
+        boxes=joined("boxes"),
+        bearings=joined("bearings"),
+        has_volume=joined("has_volume"),
+        volumes=joined("volumes"),
+        label_detection=joined("label_detection", counts),
+        labels=joined("labels"),
+        scores=joined("scores"),
+    )
+
+
+def read_detections(table: Table, fields: DetectionFields) -> Detections:
+    """Detections of one channel.
+
+    Raises:
+        LogError: If lists that should run in parallel do not.
+    """
+    element = fields.element
+    count = table.count(element)
+    has_box, boxes = _boxes(table, fields.box, element, count)
+    has_volume, volumes = _volumes(table, fields.volume, element, count)
+    label_detection, level = _label_rows(table, fields.label, element, count)
+    labels = table.at_level(fields.label, level)
+    scores = np.ones(len(labels))
+    if fields.score is not None:
+        scores = table.at_level(fields.score, level).astype(np.float64)
+        # A JSON message may leave the score out where it has nothing to say.
+        if table.channel.message_encoding == "json":
+            scores = np.where(np.isnan(scores), 1.0, scores)
+    ids = np.full(count, "", dtype=object)
+    if fields.id is not None:
+        ids = as_ids(table.at_level(fields.id, element))
+    bearings = np.full((count, 2), np.nan)
+    if fields.bearing is not None:
+        sides = [table.at_level(path, element) for path in fields.bearing]
+        bearings = np.where(has_box[:, None], np.nan, np.stack(sides, axis=1).astype(float))
+    return Detections(
+        topics=np.full(len(table), table.channel.topic, dtype=object),
+        stamps_ns=read_stamps(table, fields.stamps),
+        log_times_ns=table.log_times_ns,
+        frame_names=_frame_names(table, fields.frames),
+        look_index=table.parents("", element) if element else np.arange(count),
+        ids=ids,
+        has_box=has_box,
+        boxes=boxes,
+        bearings=bearings,
+        has_volume=has_volume,
+        volumes=volumes,
+        label_detection=label_detection,
+        labels=as_names(labels),
+        scores=scores,
+    )
+
+
+def encode_texts(texts: TextArray) -> tuple[list[str], IntArray]:
+    """Distinct texts in the order of their first appearance, and the number of each text.
+
+    Object arrays throughout: one very long text would make a fixed-width array of many huge.
+    """
+    known: dict[str, int] = {}
+    codes = [known.setdefault(text, len(known)) for text in texts.tolist()]
+    return list(known), np.array(codes, dtype=np.int64)
+
+
+def as_names(values: npt.NDArray[Any]) -> TextArray:
+    """Label names; numbers as people write them (``3``, not ``3.0``)."""
+    if values.dtype.kind == "f":
+        values = np.array([f"{value:.15g}" for value in values.tolist()], dtype=object)
+    return np.array([str(value) for value in values.tolist()] + [None], dtype=object)[:-1]
+
+
+def as_ids(values: npt.NDArray[Any]) -> TextArray:
+    """Object ids; negative numbers mean none."""
+    names = as_names(values)
+    if values.dtype.kind in "if":
+        names[~(values >= 0)] = ""
+    return names
+
+
+def read_stamps(table: Table, alternatives: Sequence[str]) -> IntArray:
+    """Header stamps [ns], 0 where there are none; plain numbers by their magnitude."""
+    if not alternatives:
+        return np.zeros(len(table), np.int64)
+    values = table.at_level(alternatives[0], "")
+    if values.dtype.kind in "iu":
+        # Seconds since 1970 stay below 1e11 for three thousand years, milliseconds below 1e14, ...
+        scales = np.array([10**9, 10**6, 10**3, 1])
+        size = np.abs(values.astype(np.float64))
+        scaled = values.astype(np.int64) * scales[np.searchsorted([1e11, 1e14, 1e17], size)]
+        return np.asarray(scaled)
+    if values.dtype.kind == "f":
+        usable = np.isfinite(values) & (np.abs(values) < 9e9)
+        return np.asarray(np.where(usable, np.rint(np.where(usable, values, 0) * 1e9), 0), np.int64)
+    return np.zeros(len(table), np.int64)
+
+
+def _frame_names(table: Table, alternatives: Sequence[str]) -> TextArray:
+    """The first name that is not empty: the message's own, else that of its first element."""
+    names = np.full(len(table), "", dtype=object)
+    for path in alternatives:
+        level = level_of(path)
+        if level:
+            spans = table.spans("", level)
+            filled = np.diff(spans) > 0
+            found = np.full(len(table), "", dtype=object)
+            found[filled] = table.values(path)[spans[:-1][filled]]
+        else:
+            found = table.values(path)
+        names = np.where(names == "", found, names)
+    return clean_frames(names)
+
+
+def clean_frames(names: npt.NDArray[Any]) -> TextArray:
+    """Frame names without the leading slash of old ROS."""
+    return np.array([str(name).lstrip("/") for name in names.tolist()] + [None], object)[:-1]
+
+
+def _label_rows(table: Table, label: str, element: str, count: int) -> tuple[IntArray, str]:
+    """The detection of each label, and the level on which labels then are."""
+    level = level_of(label)
+    if level != element and level.startswith(element):
+        return table.parents(element, level), level
+    return np.arange(count), element
+
+
+def _boxes(
+    table: Table, box: BoxFields | None, element: str, count: int
+) -> tuple[BoolArray, FloatArray]:
+    """Left, top, right, bottom of every detection, and which have a box at all."""
+    nothing = np.zeros(count, bool), np.full((count, 4), np.nan)
+    if box is None or not count:
+        return nothing
+    if len(box.paths) == 4:
+        numbers = np.stack([table.at_level(path, element) for path in box.paths], axis=1)
+        given = np.asarray(numbers, dtype=np.float64)
+    else:
+        given = _four_numbers(table, box.paths[0], element, count)
+    absent = (given == 0.0).all(axis=1)
+    if table.channel.message_encoding == "json" or len(box.paths) == 1:
+        absent |= np.isnan(given).all(axis=1)
+    a, b, c, d = given.T
+    if box.format == "corners":
+        edges = np.stack([a, b, c, d], axis=1)
+    elif box.format == "corner":
+        edges = np.stack([a, b, a + c, b + d], axis=1)
+    else:
+        half_x, half_y = 0.5 * c, 0.5 * d
+        if box.angle is not None:
+            turn = np.asarray(table.at_level(box.angle, element), dtype=np.float64)
+            cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+            half_x, half_y = half_x * cosine + half_y * sine, half_x * sine + half_y * cosine
+        edges = np.stack([a - half_x, b - half_y, a + half_x, b + half_y], axis=1)
+    return ~absent, np.where(absent[:, None], np.nan, edges)
+
+
+def _four_numbers(table: Table, path: str, element: str, count: int) -> FloatArray:
+    """Boxes that are arrays, or lists of exactly four numbers; empty lists are no box."""
+    values = table.floats(path)
+    if values.ndim == 2:
+        if values.shape[1] != 4:
+            raise LogError(
+                f"{path!r} has {values.shape[1]} numbers; a box has four",
+                topic=table.channel.topic,
+            )
+        return values
+    spans = table.spans(element, level_of(path))
+    sizes = np.diff(spans)
+    result = np.full((count, 4), np.nan)
+    full = sizes == 4
+    result[full] = values[spans[:-1][full, None] + np.arange(4)]
+    # Any other length is a box that means nothing, not the absence of one.
+    result[(sizes != 4) & (sizes != 0)] = np.array([np.nan, np.nan, np.nan, np.inf])
+    return result
+
+
+def _volumes(
+    table: Table, paths: Sequence[str], element: str, count: int
+) -> tuple[BoolArray, FloatArray]:
+    """Position, orientation, size of 3-D boxes, and which detections have one."""
+    if not paths:
+        return np.zeros(count, bool), np.full((count, 10), np.nan)
+    values = np.stack([table.at_level(path, element) for path in paths], axis=1).astype(float)
+    # A box at the sensor's own origin without size is a message that was not filled in.
+    return (values[:, [0, 1, 2, 7, 8, 9]] != 0.0).any(axis=1), values

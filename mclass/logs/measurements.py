@@ -1,0 +1,377 @@
+"""From a log to label measurements: what `estimate` reads.
+
+Header stamps place everything, as logs are written late and by other clocks; log times only
+bound what is read and stamp what is written. Every detection is used, or counted under
+exactly one reason: ``detections == len(measurements) + tally.total``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from mclass import camera, geometry, transforms
+from mclass.errors import LogError, ModelError
+from mclass.logs import directions
+from mclass.logs.detections import Detections, encode_texts
+from mclass.logs.inputs import InputReader, Inputs
+from mclass.logs.labels import known_labels, merge_labels
+from mclass.logs.reader import LogReader
+from mclass.logs.sensors import Sensor
+from mclass.logs.sources import topics_present
+from mclass.model import Model
+from mclass.records import (
+    BoolArray,
+    FloatArray,
+    Frames,
+    IntArray,
+    LabelMeasurements,
+    PoseTrack,
+    Tally,
+)
+
+NO_CAMERA = "box without a camera (set log.camera or log.camera_info)"
+BAD_CAMERA = "camera calibration that cannot be used"
+NO_TRANSFORM = "no transform to the sensor"
+MERGED = "merged with another detection of the same id"
+
+
+@dataclass(frozen=True)
+class LogContents:
+    """What a log says, ready for inference.
+
+    Attributes:
+        measurements: Label sets with their frames.
+        track: The poses that placed them.
+        tally: Detections not used, by reason.
+        notes: What was chosen, and why, in words.
+        encoding: For channels written beside.
+        frame: World frame; ``world`` if the log does not name it.
+        unknown_labels: How often each name came that the model lacks.
+        detections: Number of detections in all: used and not used.
+        pose_tally: Poses and transforms left out or mended, by reason.
+        unreadable: Messages that could not be decoded, by topic and reason.
+    """
+
+    measurements: LabelMeasurements
+    track: PoseTrack
+    tally: Tally
+    notes: tuple[str, ...]
+    encoding: Literal["ros2", "protobuf", "json"]
+    frame: str
+    unknown_labels: Mapping[str, int]
+    detections: int = 0
+    pose_tally: Tally = field(default_factory=Tally)
+    unreadable: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+
+
+@dataclass
+class _Looks:
+    """The sensor at each look; rows without a pose or mount hold zeros.
+
+    Attributes:
+        posed: Which looks have a pose, (m,).
+        mounted: Which know where the sensor sits, (m,).
+        sensor_index: Index into the inputs' sensors, (m,).
+        rotations: Sensor in the world, (m, 4).
+        poses: x, y, heading of the sensor, (m, 3).
+        shifts: What to add to positions in the sensor's frame, turned into the world, (m, 3).
+        covariances: Of ``poses``, (m, 3, 3), or None.
+        views: World azimuths of the right and left border of the view, (m, 2), or NaN.
+    """
+
+    posed: BoolArray
+    mounted: BoolArray
+    sensor_index: IntArray
+    rotations: FloatArray
+    poses: FloatArray
+    shifts: FloatArray
+    covariances: FloatArray | None
+    views: FloatArray
+
+
+def read_measurements(
+    reader: LogReader, model: Model, start_ns: int | None = None, end_ns: int | None = None
+) -> LogContents:
+    """Label measurements of a log.
+
+    Args:
+        reader: The open log.
+        model: Label names, and the section ``log`` with what to use of the log.
+        start_ns: Log time [ns] of the first detection message to use; None for the beginning.
+        end_ns: Log time [ns] before which detection messages must be; None for the end.
+
+    Raises:
+        LogError: If there are no detections or no poses, or the model names what is not there.
+    """
+    inputs = InputReader(reader, model, start_ns, end_ns).read()
+    if not inputs.sources.detections:
+        raise LogError(
+            f"no detections were recognised. Topics present: {topics_present(reader)}. "
+            "Name one as log.detections, with the field paths of label, id and box.",
+            path=str(reader.path),
+        )
+    if inputs.pose_source is None:
+        raise LogError(
+            f"no poses were recognised. Topics present: {topics_present(reader)}. "
+            "Name one as log.odometry, with the field paths of x, y and heading.",
+            path=str(reader.path),
+        )
+    return measure(inputs, model)
+
+
+def measure(inputs: Inputs, model: Model) -> LogContents:
+    """Put what was read together.
+
+    Args:
+        inputs: Of a log with poses.
+        model: As for `read_measurements`.
+    """
+    found, notes = inputs.detections, list(inputs.notes)
+    looks = _place_looks(inputs, model.log.max_gap_ns)
+    known = known_labels(found, model, inputs.numbered)
+    reasons = list(known.reasons)
+    reason = known.reason_index.copy()
+
+    def refuse(rows: BoolArray, why: str) -> None:
+        """Count rows under a reason unless they have one already."""
+        if why not in reasons:
+            reasons.append(why)
+        reason[rows & (reason == 0)] = reasons.index(why)
+
+    seconds = f"{model.log.max_gap_ns * 1e-9:g} s"
+    refuse(~looks.posed[found.look_index], f"no pose within {seconds}")
+    refuse(~looks.mounted[found.look_index], f"{NO_TRANSFORM} within {seconds}")
+    edges, codes, problems = _directions(inputs, looks, reason == 0)
+    for code, why in enumerate((*directions.REASONS, NO_CAMERA, BAD_CAMERA)):
+        if code:
+            refuse(codes == code, why)
+    notes += problems
+    frames, frame_of_look = _frames(inputs, looks)
+    used = np.flatnonzero(reason == 0)
+    rows = _Rows.of(frame_of_look[found.look_index[used]], used, found)
+    row_of_detection = np.full(len(found), -1)
+    row_of_detection[used] = rows.row
+    label_rows = row_of_detection[known.detections]
+    kept = label_rows >= 0
+    offsets, labels, scores = merge_labels(
+        label_rows[kept], known.labels[kept], known.scores[kept], len(rows.first)
+    )
+    first = used[rows.first]
+    measurements = LabelMeasurements(
+        frames=frames,
+        frame_index=frame_of_look[found.look_index[first]],
+        directions=directions.hull(edges[used], rows.row, len(first)),
+        object_index=rows.object_index,
+        object_ids=rows.object_ids,
+        label_offsets=offsets,
+        labels=labels,
+        scores=scores,
+        label_names=tuple(model.classes.label_names),
+    )
+    tally = Tally()
+    for why, count in zip(reasons, np.bincount(reason, minlength=len(reasons)), strict=True):
+        if why:
+            tally.add(why, int(count))
+    tally.add(MERGED, len(used) - len(first))
+    frame = inputs.track.poses.frame
+    if not frame:
+        notes.append("the poses name no world frame; it is called world")
+    return LogContents(
+        measurements=measurements,
+        track=inputs.track.poses,
+        tally=tally,
+        notes=tuple(notes),
+        encoding=inputs.encoding,
+        frame=frame or "world",
+        unknown_labels=known.unknown,
+        detections=len(found),
+        pose_tally=inputs.tally,
+        unreadable=inputs.unreadable,
+    )
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Detections gathered into rows: those of one frame that share an id are one.
+
+    Attributes:
+        row: Row of each detection, (n,).
+        first: First detection of each row, (r,); rows are ordered by frame, then as it.
+        object_index: Index into ``object_ids`` for each row, -1 for none, (r,).
+        object_ids: Distinct ids in the order of their first appearance.
+    """
+
+    row: IntArray
+    first: IntArray
+    object_index: IntArray
+    object_ids: tuple[str, ...]
+
+    @classmethod
+    def of(cls, frame: IntArray, used: IntArray, found: Detections) -> _Rows:
+        """Gather detections ``used``, which lie in ``frame``, (n,) each."""
+        order = np.argsort(frame, kind="stable")
+        ids = found.ids[used]
+        names, codes = encode_texts(ids[order])
+        in_order = np.empty(len(order), np.int64)
+        in_order[order] = codes
+        if "" in names:
+            none = names.index("")
+            anonymous = in_order == none
+            names.remove("")
+            in_order = np.where(anonymous, -1, in_order - (in_order > none))
+        # Detections without id each get a key of their own.
+        key = np.where(in_order >= 0, in_order, len(names) + np.arange(len(used)))
+        pairs = np.stack([frame, key], axis=1)
+        _, first, group = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+        sequence = np.lexsort((first, frame[first]))
+        rank = np.empty(len(sequence), np.int64)
+        rank[sequence] = np.arange(len(sequence))
+        first = first[sequence]
+        return cls(rank[group.reshape(-1)], first, in_order[first], tuple(names))
+
+
+def _place_looks(inputs: Inputs, max_gap_ns: int) -> _Looks:
+    """Where the sensor was at each look, and which way it looked."""
+    track, count = inputs.track, inputs.detections.n_looks
+    looks = _Looks(
+        posed=track.covered(inputs.stamps_ns, max_gap_ns),
+        mounted=np.zeros(count, bool),
+        sensor_index=np.zeros(count, np.int64),
+        rotations=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
+        poses=np.zeros((count, 3)),
+        shifts=np.zeros((count, 3)),
+        covariances=None,
+        views=np.full((count, 2), np.nan),
+    )
+    if track.poses.covariances is not None:
+        looks.covariances = np.zeros((count, 3, 3))
+    for index, (sensor, rows) in enumerate(inputs.sensors):
+        looks.sensor_index[rows] = index
+        looks.mounted[rows] = sensor.mounted
+        posed = looks.posed[rows]
+        _place_sensor(inputs, looks, sensor, rows[posed], posed)
+    return looks
+
+
+def _place_sensor(
+    inputs: Inputs, looks: _Looks, sensor: Sensor, rows: IntArray, posed: BoolArray
+) -> None:
+    """Fill in the looks ``rows`` of one sensor, which have poses."""
+    if not len(rows):
+        return
+    robot, tilts, covariances = inputs.track.at(inputs.stamps_ns[rows])
+    mount = sensor.mount.take(posed)
+    heading = robot[:, 2].copy()
+    if sensor.fixed:
+        rotations = mount.rotations_xyzw
+        lever = np.zeros((len(rows), 2))
+        ground = np.column_stack([robot[:, :2], np.zeros(len(rows))])
+        looks.shifts[rows] = mount.translations - ground
+    else:
+        body = transforms.multiply(transforms.from_heading(robot[:, 2]), tilts)
+        rotations = transforms.multiply(body, mount.rotations_xyzw)
+        lever = transforms.rotate(body, mount.translations)[:, :2]
+        forward = np.array([0.0, 0.0, 1.0] if sensor.optical else [1.0, 0.0, 0.0])
+        azimuth, level = camera.ray_azimuths(rotations, np.tile(forward, (len(rows), 1)))
+        heading = np.where(level, azimuth, heading)
+    looks.rotations[rows] = rotations
+    looks.poses[rows] = np.column_stack([robot[:, :2] + lever, geometry.wrap_angle(heading)])
+    if covariances is not None and looks.covariances is not None:
+        # The sensor swings with the heading at the end of its lever.
+        jacobian = np.tile(np.eye(3), (len(rows), 1, 1))
+        jacobian[:, 0, 2], jacobian[:, 1, 2] = -lever[:, 1], lever[:, 0]
+        looks.covariances[rows] = jacobian @ covariances @ np.swapaxes(jacobian, 1, 2)
+    if sensor.camera is not None:
+        calibrations = sensor.camera.calibrations
+        which = sensor.camera.rows_at(inputs.stamps_ns[rows])
+        size = calibrations.image_sizes[which]
+        image = np.concatenate([np.zeros_like(size), size], axis=1)
+        try:
+            views, _ = directions.box_directions(calibrations, which, rotations, image)
+        except ModelError:
+            return
+        sized = np.asarray((size > 0).all(axis=1))
+        looks.views[rows] = np.where(sized[:, None], views, np.nan)
+
+
+def _directions(
+    inputs: Inputs, looks: _Looks, wanted: BoolArray
+) -> tuple[FloatArray, IntArray, list[str]]:
+    """World azimuths of all wanted detections, and why some have none.
+
+    Returns:
+        Directions (n, 2), codes into ``directions.REASONS`` and the two of cameras (n,), and
+        problems in words.
+    """
+    found = inputs.detections
+    edges, codes = np.full((len(found), 2), np.nan), np.zeros(len(found), np.int64)
+    no_camera = len(directions.REASONS)
+    problems = []
+    sensor_of = looks.sensor_index[found.look_index]
+    has_bearing = np.asarray(~np.isnan(found.bearings).all(axis=1)) & ~found.has_box
+    for index, (sensor, _) in enumerate(inputs.sensors):
+        mine = wanted & (sensor_of == index)
+        rows = np.flatnonzero(mine & found.has_box)
+        look = found.look_index[rows]
+        if sensor.camera is None:
+            codes[rows] = no_camera
+        elif len(rows):
+            calibration = sensor.camera.rows_at(inputs.stamps_ns[look])
+            try:
+                edges[rows], codes[rows] = directions.box_directions(
+                    sensor.camera.calibrations,
+                    calibration,
+                    looks.rotations[look],
+                    found.boxes[rows],
+                )
+            except ModelError as error:
+                codes[rows] = no_camera + 1
+                problems.append(f"camera {sensor.camera.topic or 'of the model file'}: {error}")
+        rows = np.flatnonzero(mine & has_bearing)
+        edges[rows], codes[rows] = directions.bearing_directions(
+            looks.rotations[found.look_index[rows]], found.bearings[rows], optical=sensor.optical
+        )
+        rows = np.flatnonzero(mine & found.has_volume & ~found.has_box & ~has_bearing)
+        look = found.look_index[rows]
+        edges[rows], codes[rows] = directions.volume_directions(
+            looks.rotations[look], found.volumes[rows], looks.shifts[look]
+        )
+    return edges, codes, problems
+
+
+def _frames(inputs: Inputs, looks: _Looks) -> tuple[Frames, IntArray]:
+    """Looks with a pose as frames: those of one stamp and sensor frame are one.
+
+    Returns:
+        The frames, and the frame of each look, -1 for looks without one, (m,).
+    """
+    frame_of_look = np.full(inputs.detections.n_looks, -1)
+    placed = np.flatnonzero(looks.posed & looks.mounted)
+    names, codes = encode_texts(
+        np.array([sensor.frame for sensor, _ in inputs.sensors] + [None], dtype=object)[:-1]
+    )
+    sensor_code = codes[looks.sensor_index[placed]] if names else placed
+    stamps = inputs.stamps_ns[placed]
+    pairs = np.stack([stamps, sensor_code], axis=1)
+    _, first, group = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    group = group.reshape(-1)
+    frame_of_look[placed] = group
+    # Complete once the last of its messages was logged.
+    log_times = np.zeros(len(first), np.int64)
+    np.maximum.at(log_times, group, inputs.detections.log_times_ns[placed])
+    chosen = placed[first]
+    covariances = looks.covariances[chosen] if looks.covariances is not None else None
+    return (
+        Frames(
+            inputs.stamps_ns[chosen],
+            log_times,
+            looks.poses[chosen],
+            covariances,
+            looks.views[chosen],
+        ),
+        frame_of_look,
+    )

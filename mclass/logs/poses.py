@@ -1,0 +1,242 @@
+"""Pose tracks from odometry, poses, transforms or velocities, cleaned of what cannot be used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from mclass import geometry, transforms
+from mclass.logs.detections import TextArray, clean_frames, read_stamps
+from mclass.logs.families import VelocityFamily
+from mclass.logs.fields import PoseFields
+from mclass.logs.tables import Table
+from mclass.records import BoolArray, FloatArray, IntArray, PoseTrack, Tally
+from mclass.transforms import TransformTree
+
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+_PLANAR = np.array([0, 1, 5])
+
+
+@dataclass(frozen=True)
+class Track:
+    """A `PoseTrack` and what else is known of it.
+
+    Attributes:
+        poses: The track.
+        tilts: Rotation of the body against its own heading (roll and pitch), (n, 4).
+        tally: Poses left out or mended, by reason.
+        clock: Whether stamps are header stamps or, for want of these, log times.
+        still: Whether the one pose holds for ever.
+    """
+
+    poses: PoseTrack
+    tilts: FloatArray
+    tally: Tally = field(default_factory=Tally)
+    clock: Literal["header", "log"] = "header"
+    still: bool = False
+
+    def __len__(self) -> int:
+        return len(self.poses.stamps_ns)
+
+    def covered(self, query_ns: IntArray, max_gap_ns: int) -> BoolArray:
+        """At which times there is a pose, as `transforms.bracket` says."""
+        if not len(self) or self.still:
+            return np.full(len(query_ns), bool(len(self)))
+        return transforms.bracket(self.poses.stamps_ns, query_ns, max_gap_ns)[2]
+
+    def at(self, query_ns: IntArray) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Planar poses (q, 3), tilts (q, 4) and covariances (q, 3, 3) or None at covered times."""
+        stamps = self.poses.stamps_ns
+        planar = geometry.interpolate_poses(stamps, self.poses.poses_world_child, query_ns)
+        before, fraction, _ = transforms.bracket(stamps, query_ns, 0)
+        after = np.minimum(before + 1, len(stamps) - 1)
+        tilts = transforms.slerp(self.tilts[before], self.tilts[after], fraction)
+        covariances = None
+        if self.poses.covariances is not None:
+            weight = fraction[:, None, None]
+            first, second = self.poses.covariances[before], self.poses.covariances[after]
+            covariances = (1.0 - weight) * first + weight * second
+        return planar, tilts, covariances
+
+
+def read_pose_track(table: Table, fields: PoseFields, *, by_log_time: bool = False) -> Track:
+    """Poses of one channel.
+
+    Args:
+        table: The channel's messages.
+        fields: Where they are.
+        by_log_time: Stamp poses by log time, whatever their headers say.
+    """
+    tally = Tally()
+    places = np.stack([table.floats(path) for path in fields.position], axis=1)
+    usable = transforms.finite_rows(places)
+    tally.add("position not finite", int((~usable).sum()))
+    turns, turned = _orientations(table, fields)
+    tally.add("orientation is no rotation", int((usable & ~turned).sum()))
+    usable &= turned
+    frame, child = "", ""
+    if fields.frame is not None:
+        frame, same = _one_name(clean_frames(table.values(fields.frame)), usable)
+        tally.add("pose in another world frame", int((usable & ~same).sum()))
+        usable &= same
+    if fields.child is not None:
+        child, same = _one_name(clean_frames(table.values(fields.child)), usable)
+        tally.add("pose of another frame", int((usable & ~same).sum()))
+        usable &= same
+    header = read_stamps(table, [fields.stamp] if fields.stamp else [])
+    stamped = header != 0
+    clock: Literal["header", "log"] = "header"
+    if by_log_time or not stamped[usable].any():
+        clock = "log"
+    stamps = table.log_times_ns
+    if clock == "header":
+        stamps = np.where(stamped, header, table.log_times_ns)
+        tally.add("pose without stamp (log time used)", int((usable & ~stamped).sum()))
+    rows = np.flatnonzero(usable)
+    rows = rows[_sorted_once(stamps[rows], tally)]
+    covariances = _covariances(table, fields, rows, tally)
+    headings = transforms.headings(turns[rows])
+    return Track(
+        PoseTrack(
+            frame=frame,
+            child_frame=child,
+            stamps_ns=stamps[rows],
+            poses_world_child=np.column_stack([places[rows, :2], headings]),
+            covariances=covariances,
+        ),
+        _tilts(turns[rows], headings),
+        tally,
+        clock,
+    )
+
+
+def read_velocity_track(table: Table, family: VelocityFamily, max_gap_ns: int) -> Track:
+    """Velocities integrated on SE(2) from the origin (paper eq. 4)."""
+    tally = Tally()
+    columns = [f"{family.linear}.x", f"{family.linear}.y", f"{family.angular}.z"]
+    velocities = np.stack([table.floats(path) for path in columns], axis=1)
+    usable = transforms.finite_rows(velocities)
+    tally.add("velocity not finite", int((~usable).sum()))
+    header = read_stamps(table, family.stamp)
+    clock: Literal["header", "log"] = "header" if (header[usable] != 0).any() else "log"
+    stamps = table.log_times_ns
+    if clock == "header":
+        stamps = np.where(header != 0, header, stamps)
+        tally.add("velocity without stamp (log time used)", int((usable & (header == 0)).sum()))
+    rows = np.flatnonzero(usable)
+    rows = rows[_sorted_once(stamps[rows], tally)]
+    stamps = stamps[rows]
+    tally.add("gaps over which a velocity was held", int((np.diff(stamps) > max_gap_ns).sum()))
+    poses = np.zeros((0, 3))
+    if len(rows):
+        poses = geometry.integrate_twists(stamps, velocities[rows])
+    child = ""
+    if family.frame:
+        child, _ = _one_name(clean_frames(table.values(family.frame[0])), usable)
+    return Track(
+        PoseTrack("odom", child, stamps, poses), np.tile(UPRIGHT, (len(rows), 1)), tally, clock
+    )
+
+
+def transform_track(tree: TransformTree, parent: str, child: str, max_gap_ns: int) -> Track:
+    """Poses of one frame in another, at every stamp of the links between them."""
+    nothing = PoseTrack(parent, child, np.zeros(0, np.int64), np.zeros((0, 3)))
+    path = tree.path(parent, child)
+    if path is None:
+        return Track(nothing, np.zeros((0, 4)))
+    # A robot that stands still has links that do not move, but are repeated.
+    moving = [link.stamps_ns for link, _ in path if not link.static]
+    moving = moving or [link.stamps_ns for link, _ in path if len(link.stamps_ns) > 1]
+    stamps = np.unique(np.concatenate(moving)) if moving else np.zeros(1, np.int64)
+    found = tree.lookup(parent, child, stamps, max_gap_ns)
+    if found is None or not len(stamps):
+        return Track(nothing, np.zeros((0, 4)))
+    chain, valid = found
+    chain, stamps = chain.take(valid), stamps[valid]
+    headings = transforms.headings(chain.rotations_xyzw)
+    poses = np.column_stack([chain.translations[:, :2], headings])
+    tilts = _tilts(chain.rotations_xyzw, headings)
+    return Track(PoseTrack(parent, child, stamps, poses), tilts, still=not moving)
+
+
+def is_positive_semidefinite(matrices: FloatArray) -> BoolArray:
+    """Which of (n, k, k) matrices are covariances: finite, symmetric, no negative direction."""
+    finite = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
+    safe = np.where(finite[:, None, None], matrices, 0.0)
+    scale = np.abs(safe).max(axis=(1, 2), initial=0.0)
+    skew = np.abs(safe - np.swapaxes(safe, 1, 2)).max(axis=(1, 2), initial=0.0)
+    lowest = np.linalg.eigvalsh(0.5 * (safe + np.swapaxes(safe, 1, 2)))[:, 0]
+    return np.asarray(finite & (skew <= 1e-6 * scale) & (lowest >= -1e-9 * scale))
+
+
+def _orientations(table: Table, fields: PoseFields) -> tuple[FloatArray, BoolArray]:
+    """Unit quaternions of all messages and which of them are rotations."""
+    if len(fields.orientation) == 4:
+        values = np.stack([table.floats(path) for path in fields.orientation], axis=1)
+        return transforms.normalize_quaternions(values)
+    if len(fields.orientation) == 1:
+        headings = table.floats(fields.orientation[0])
+        finite = np.isfinite(headings)
+        return transforms.from_heading(np.where(finite, headings, 0.0)), finite
+    return np.tile(UPRIGHT, (len(table), 1)), np.ones(len(table), bool)
+
+
+def _tilts(turns: FloatArray, headings: FloatArray) -> FloatArray:
+    """What is left of rotations when their heading is taken away."""
+    return transforms.multiply(transforms.from_heading(-headings), turns)
+
+
+def _one_name(names: TextArray, usable: BoolArray) -> tuple[str, BoolArray]:
+    """The first name in use, and which rows bear it or none."""
+    named = np.flatnonzero(usable & (names != ""))
+    if not len(named):
+        return "", np.ones(len(names), bool)
+    first = str(names[named[0]])
+    return first, np.asarray((names == first) | (names == ""), dtype=bool)
+
+
+def _sorted_once(stamps: IntArray, tally: Tally) -> IntArray:
+    """Rows by increasing stamp; of rows with one stamp the last."""
+    tally.add("pose out of order (sorted)", int((np.diff(stamps) < 0).sum()))
+    order = np.argsort(stamps, kind="stable")
+    last = np.append(np.diff(stamps[order]) > 0, True)[: len(order)]
+    tally.add("pose with a stamp met before (last kept)", int((~last).sum()))
+    return np.asarray(order[last])
+
+
+def _covariances(
+    table: Table, fields: PoseFields, rows: IntArray, tally: Tally
+) -> FloatArray | None:
+    """Covariances of (x, y, heading), (n, 3, 3), or None if the log gives none.
+
+    A covariance that cannot be is replaced by the latest sound one before it, else the first.
+    """
+    if fields.covariance is None or not len(rows):
+        return None
+    given = _square_covariances(table, fields.covariance)
+    if given is None:
+        return None
+    planar = given[rows][:, _PLANAR[:, None], _PLANAR]
+    sound = is_positive_semidefinite(planar)
+    tally.add("covariance not positive semi-definite (left out)", int((~sound).sum()))
+    # Publishers that do not know their covariance leave it zero, or set its first entry to -1.
+    if not sound.any() or not planar[sound].any():
+        return None
+    known = np.flatnonzero(sound)
+    source = known[np.maximum(np.searchsorted(known, np.arange(len(rows)), side="right") - 1, 0)]
+    result = planar[source]
+    return np.asarray(0.5 * (result + np.swapaxes(result, 1, 2)))
+
+
+def _square_covariances(table: Table, path: str) -> FloatArray | None:
+    """All messages' 6 by 6 covariances; those of another size are NaN."""
+    values = table.floats(path)
+    if values.ndim == 2:
+        return values.reshape(-1, 6, 6) if values.shape[1] == 36 else None
+    spans = table.columns[path].offsets[0]
+    full = np.diff(spans) == 36
+    result = np.full((len(full), 6, 6), np.nan)
+    result[full] = values[spans[:-1][full, None] + np.arange(36)].reshape(-1, 6, 6)
+    return None if (np.diff(spans) == 0).all() else result

@@ -1,0 +1,213 @@
+"""All messages of a channel as one table, and how nested lists in it belong together.
+
+The rows of a table are messages; a path with ``[]`` has many values a message. A *level* is
+the part of a path up to its last ``[]`` (``detections[].results[]``), the empty string for
+the message itself: values of one level correspond one to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mclass.errors import LogError
+from mclass.logs.decode.base import ChannelDecoder, Column
+from mclass.logs.reader import ChannelInfo, LogReader, MessageBatch
+from mclass.records import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a channel's messages, in file order.
+
+    Attributes:
+        channel: Where they came from.
+        log_times_ns: Log time of each message, (m,).
+        columns: By path.
+        failures: Messages that could not be decoded, by reason.
+    """
+
+    channel: ChannelInfo
+    log_times_ns: IntArray
+    columns: Mapping[str, Column]
+    failures: Mapping[str, int]
+
+    def __len__(self) -> int:
+        return len(self.log_times_ns)
+
+    def values(self, path: str) -> npt.NDArray[Any]:
+        """Values of a path, at its own level."""
+        return self.columns[path].values
+
+    def floats(self, path: str) -> FloatArray:
+        """Values of a numeric path as float64."""
+        return np.asarray(self.columns[path].values, dtype=np.float64)
+
+    def count(self, level: str) -> int:
+        """Number of elements at a level."""
+        return len(self) if not level else int(self.spans("", level)[-1])
+
+    def spans(self, outer: str, inner: str) -> IntArray:
+        """Elements of ``inner`` that belong to each element of ``outer``, an ancestor of it.
+
+        Returns:
+            Boundaries, (number of outer elements + 1,).
+
+        Raises:
+            LogError: If no column that was read reaches the inner level.
+        """
+        depth_outer, depth_inner = outer.count("[]"), inner.count("[]")
+        for path, column in self.columns.items():
+            if path.startswith(inner) and len(column.offsets) >= depth_inner:
+                if depth_outer == depth_inner:
+                    return np.arange(self.count(outer) + 1)
+                bounds = column.offsets[depth_outer]
+                for depth in range(depth_outer + 1, depth_inner):
+                    bounds = column.offsets[depth][bounds]
+                return bounds
+        raise LogError(f"no field below {inner!r} was read", topic=self.channel.topic)
+
+    def parents(self, outer: str, inner: str) -> IntArray:
+        """For each element of ``inner`` the index of the ``outer`` element that it is in."""
+        sizes = np.diff(self.spans(outer, inner))
+        return np.repeat(np.arange(len(sizes)), sizes)
+
+    def at_level(self, path: str, level: str) -> npt.NDArray[Any]:
+        """Values of a path brought to a level: repeated from above, or taken alongside.
+
+        Lists beside each other (``labels[]``, ``scores[]``) are taken to run in parallel.
+
+        Raises:
+            LogError: If they do not have the same lengths, or the path is deeper.
+        """
+        own = level_of(path)
+        if own == level:
+            return self.values(path)
+        if level.startswith(own):
+            return self.values(path)[self.parents(own, level)]
+        offsets = self.columns[path].offsets
+        if len(offsets) == level.count("[]") and np.array_equal(offsets[-1], self._bounds(level)):
+            return self.values(path)
+        raise LogError(
+            f"the lists of {path!r} and {level!r} differ in length, so their elements cannot be "
+            "told to belong together. Name other fields under log.",
+            topic=self.channel.topic,
+        )
+
+    def _bounds(self, level: str) -> IntArray:
+        """Innermost offsets of a level."""
+        for path, column in self.columns.items():
+            if path.startswith(level) and len(column.offsets) >= level.count("[]"):
+                return column.offsets[level.count("[]") - 1]
+        return np.zeros(1, np.int64)
+
+
+def level_of(path: str) -> str:
+    """The path up to its last ``[]``; empty if it has none."""
+    end = path.rfind("[]")
+    return path[: end + 2] if end >= 0 else ""
+
+
+class Decoders:
+    """The decoders of a log's channels, made when first asked for."""
+
+    def __init__(self, reader: LogReader) -> None:
+        self._reader = reader
+        self._known: dict[int, ChannelDecoder] = {}
+
+    def of(self, channel: ChannelInfo) -> ChannelDecoder:
+        """Decoder of a channel; for JSON one that has seen the channel's first messages.
+
+        Raises:
+            LogError: If the channel's encoding or schema cannot be used.
+        """
+        if channel.id not in self._known:
+            decoder = ChannelDecoder.for_channel(channel)
+            if channel.message_encoding == "json":
+                for batch in self._reader.batches([channel.id]):
+                    decoder.learn(batch)
+                    break
+            self._known[channel.id] = decoder
+        return self._known[channel.id]
+
+    def paths(self, channel: ChannelInfo) -> Mapping[str, str]:
+        """Kinds of the channel's fields; empty if it cannot be decoded."""
+        try:
+            return self.of(channel).paths
+        except LogError:
+            return {}
+
+
+def read_tables(
+    reader: LogReader,
+    decoders: Decoders,
+    wanted: Mapping[int, Iterable[str]],
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+    *,
+    keep: Callable[[MessageBatch], bool] | None = None,
+) -> dict[int, Table]:
+    """Read several channels in one pass over the file.
+
+    Args:
+        reader: The open log.
+        decoders: Its decoders.
+        wanted: Paths to read, by channel id.
+        start_ns: First log time, inclusive; None for the beginning.
+        end_ns: Last log time, inclusive; None for the end.
+        keep: Tells which batches to decode; all when None.
+
+    Returns:
+        One table for each wanted channel, empty ones included.
+    """
+    channels = {channel.id: channel for channel in reader.channels if channel.id in wanted}
+    paths = {key: tuple(dict.fromkeys(wanted[key])) for key in channels}
+    times: dict[int, list[IntArray]] = {key: [] for key in channels}
+    parts: dict[int, list[Mapping[str, Column]]] = {key: [] for key in channels}
+    failures: dict[int, dict[str, int]] = {key: {} for key in channels}
+    if not channels:
+        return {}
+    for batch in reader.batches(list(channels), start_ns, end_ns):
+        if keep is not None and not keep(batch):
+            continue
+        key = batch.channel.id
+        columns = decoders.of(batch.channel).columns(batch, paths[key])
+        times[key].append(batch.log_times_ns[columns.rows])
+        parts[key].append(columns.values)
+        for reason, count in columns.failures.items():
+            failures[key][reason] = failures[key].get(reason, 0) + count
+    return {
+        key: Table(
+            channel,
+            np.concatenate([np.zeros(0, np.int64), *times[key]]).astype(np.int64),
+            {path: _join(path, [part[path] for part in parts[key]]) for path in paths[key]},
+            failures[key],
+        )
+        for key, channel in channels.items()
+    }
+
+
+def _join(path: str, columns: Sequence[Column]) -> Column:
+    """Columns end to end."""
+    if len(columns) == 1:
+        return columns[0]
+    levels = path.count("[]")
+    if not columns:
+        return Column(np.zeros(0), tuple(np.zeros(1, np.int64) for _ in range(levels)))
+    offsets = []
+    for level in range(levels):
+        starts = np.cumsum([0] + [column.offsets[level][-1] for column in columns])
+        offsets.append(
+            np.concatenate(
+                [[0]]
+                + [
+                    column.offsets[level][1:] + start
+                    for column, start in zip(columns, starts[:-1], strict=True)
+                ]
+            ).astype(np.int64)
+        )
+    return Column(np.concatenate([column.values for column in columns]), tuple(offsets))
