@@ -212,6 +212,10 @@ class Sight:
         """Only the given cells."""
         return Sight(self.ranges[cells], self.directions[cells], self.inside[cells])
 
+    def select_looks(self, columns: IntArray) -> Sight:
+        """Only the given detections."""
+        return Sight(self.ranges[:, columns], self.directions[:, columns], self.inside[:, columns])
+
 
 def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
     """Range, direction and footprint test of every cell for every detection.

@@ -10,9 +10,10 @@ import numpy as np
 from mclass.evidence import Engine
 from mclass.footprint import Grid, Pointing, covering_grid
 from mclass.gridmap import grid_beliefs
+from mclass.looks import Looks, object_looks
 from mclass.model import Model
 from mclass.objects import ObjectFilter, known_position, pointed_cells
-from mclass.observation import paper_terms
+from mclass.observation import Recognition, paper_terms, robust_terms
 from mclass.records import BoolArray, FloatArray, IntArray, LabelMeasurements
 from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
 from mclass.summary import summarise
@@ -28,41 +29,57 @@ class Problem:
         model: The whole model file.
         measurements: All that was read, explainable or not.
         used: Rows of ``measurements`` that some class can explain, (k,).
-        engine: Sums evidence; indexes all rows of ``measurements``.
+        looks: The measurements and, where silence counts, the frames.
+        engine: Sums evidence of looks.
         grid: The cells, or None when no measurement points anywhere.
     """
 
     model: Model
     measurements: LabelMeasurements
     used: IntArray
+    looks: Looks
     engine: Engine
     grid: Grid | None
 
 
 def prepare(model: Model, measurements: LabelMeasurements) -> Problem:
     """Set up inference; a label set that no class can return takes part in nothing."""
-    has_label = _label_matrix(measurements)
-    used = np.flatnonzero(_explainable(model, has_label))
-    settings = model.grid
-    poses = measurements.frames.poses_world_sensor[measurements.frame_index]
+    settings, frames = model.inference, measurements.frames
+    returned = _label_matrix(measurements)
+    used = np.arange(len(measurements))
+    if not settings.probabilities:
+        used = np.flatnonzero(_explainable(model, returned))
     directions = measurements.directions.copy()
     directions[np.setdiff1d(np.arange(len(measurements)), used)] = np.nan
+    views = frames.view_directions if settings.silence else np.full((len(frames), 2), np.nan)
+    owners = np.concatenate([measurements.frame_index, np.arange(len(frames))])
+    poses = frames.poses_world_sensor[owners]
     pointing = Pointing(
         positions=poses[:, :2],
         headings=poses[:, 2],
-        directions=directions,
-        min_range=settings.min_range,
-        max_range=settings.max_range,
-        rays=settings.footprint == "ray",
+        directions=np.concatenate([directions, views]),
+        min_range=model.grid.min_range,
+        max_range=model.grid.max_range,
+        rays=model.grid.footprint == "ray",
     )
+    looks = Looks(pointing, owners, frames.stamps_ns[owners], len(measurements), settings)
+    if settings.probabilities:
+        recognition = Recognition(settings.detection_probability, settings.false_alarm)
+        terms = robust_terms(model.classes, recognition)
+    else:
+        terms = paper_terms(model.classes)
+    has_term = np.zeros((len(owners), len(terms)), dtype=bool)
+    has_term[: len(measurements), : returned.shape[1]] = returned
+    has_term[len(measurements) :, returned.shape[1] :] = True
     engine = Engine(
-        terms=paper_terms(model.classes),
+        terms=terms,
         n_classes=len(model.classes.class_names),
-        bins=settings.orientation_bins,
+        bins=model.grid.orientation_bins,
         pointing=pointing,
-        has_label=has_label,
+        has_term=has_term,
     )
-    return Problem(model, measurements, used, engine, _grid(model, pointing))
+    grid = _grid(model, pointing.select(np.arange(len(measurements))))
+    return Problem(model, measurements, used, looks, engine, grid)
 
 
 def _label_matrix(measurements: LabelMeasurements) -> BoolArray:
@@ -108,36 +125,31 @@ def estimate_objects(problem: Problem) -> tuple[list[ObjectEstimate], list[Belie
         if position is not None:
             candidates = known_position(position, model.grid.cell_size)
         elif problem.grid is not None:
-            found = pointed_cells(problem.grid, problem.engine, rows)
+            found = pointed_cells(problem.grid, problem.looks.pointing, rows)
             if found is None:
                 continue
             candidates = found
-            rows = rows[np.isfinite(problem.engine.pointing.directions[rows]).all(axis=1)]
+            rows = rows[np.isfinite(problem.looks.pointing.directions[rows]).all(axis=1)]
         else:
             continue
         if len(rows) == 0:
             continue
-        tracker = ObjectFilter(
-            problem.engine,
-            candidates,
-            model.classes.log_priors,
-            model.inference.outside_probability,
-        )
+        looks = object_looks(problem.looks, rows)
+        tracker = ObjectFilter(problem.engine, looks, candidates, model.classes.log_priors)
         stamps, log_times = measurements.stamps_ns[rows], measurements.log_times_ns[rows]
-        for step, (row, stamp, log_time) in zip(
-            tracker.steps(rows), zip(rows, stamps, log_times, strict=True), strict=True
-        ):
+        for step, readout in enumerate(tracker.steps()):
+            row = int(rows[step])
             estimate = summarise(
-                step.readout,
+                readout,
                 object_id=object_id,
-                stamp_ns=int(stamp),
-                log_time_ns=int(log_time),
-                labels=measurements.label_names_of(int(row)),
-                measurements=step.count,
+                stamp_ns=int(stamps[step]),
+                log_time_ns=int(log_times[step]),
+                labels=measurements.label_names_of(row),
+                measurements=step + 1,
                 cell_size=model.grid.cell_size,
                 known=candidates.known,
             )
-            updates.append((int(row), estimate))
+            updates.append((row, estimate))
         beliefs.append(tracker.belief(updates[-1][1]))
     updates.sort(key=lambda update: update[0])
     return [estimate for _, estimate in updates], beliefs
@@ -145,9 +157,8 @@ def estimate_objects(problem: Problem) -> tuple[list[ObjectEstimate], list[Belie
 
 @dataclass(frozen=True)
 class Cut:
-    """A moment at which maps are written: after the first ``count`` measurements."""
+    """A moment at which maps are written."""
 
-    count: int
     stamp_ns: int
     log_time_ns: int
 
@@ -161,7 +172,7 @@ def cuts_every(measurements: LabelMeasurements, period_ns: int | None) -> list[C
     if period_ns is not None:
         moments = np.arange(stamps[0] + period_ns, stamps[-1], period_ns)
         counts = np.unique([*np.searchsorted(stamps, moments, side="right"), len(stamps)]).tolist()
-    return [Cut(int(n), int(stamps[n - 1]), int(log_times[n - 1])) for n in counts]
+    return [Cut(int(stamps[n - 1]), int(log_times[n - 1])) for n in counts]
 
 
 class GridEstimate:
@@ -179,8 +190,8 @@ class GridEstimate:
         if problem.grid is None:
             return
         priors = problem.model.classes.log_priors
-        counts = [cut.count for cut in self._cuts]
-        for tile in grid_beliefs(problem.engine, problem.grid, priors, counts):
+        stamps = [cut.stamp_ns for cut in self._cuts]
+        for tile in grid_beliefs(problem.engine, problem.looks, problem.grid, priors, stamps):
             for index, (cut, belief) in enumerate(zip(self._cuts, tile, strict=True)):
                 if len(belief.cells) == 0:
                     continue
@@ -197,7 +208,7 @@ class GridEstimate:
                     log_cell_mass=np.zeros(len(belief.cells)),
                     log_class_probability=belief.posterior.log_class_probability,
                     log_density=belief.posterior.log_density.astype(np.float32),
-                    measurements=belief.measurements,
+                    measurements=belief.looks,
                 )
 
     def maps(self) -> list[ClassMaps]:

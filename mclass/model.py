@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -79,15 +80,51 @@ class GridSettings:
 
 @dataclass(frozen=True)
 class InferenceSettings:
-    """How evidence is weighed.
+    """How evidence is weighed; the defaults are the plain paper, `ROBUST` what real logs need.
 
-    ``outside_probability`` is the factor on an object's likelihood in a cell that one of its
-    detections does not point at: small, not zero, so that one wrong box cannot rule out
-    the place that all others agree on.
+    Attributes:
+        preset: Name of the set of defaults that the file started from.
+        probabilities: Every label is a yes or no in every look, with a probability; else a
+            returned label adds its density and a missing one nothing.
+        detection_probability: That the best label is returned from the best viewpoint.
+        false_alarm: Probability that a label is returned for no reason, per look.
+        silence: Frames that had a cell in view and returned nothing for it count; needs
+            ``probabilities``.
+        view_margin: How far within the border of the field of view a cell must be [m].
+        correlation: Widths [m], [rad] within which looks from one place share one vote;
+            None counts every look in full.
+        outside_probability: Factor on an object's likelihood in a cell that one of its
+            detections does not point at: small, not zero, so that one wrong box cannot
+            rule out the place that all others agree on.
+        pointing_std: Standard deviation [rad] of a box's edges: beyond them the factor falls
+            off as a Gaussian down to ``outside_probability``; 0 for at once.
     """
 
     preset: Literal["paper", "robust"] = "paper"
+    probabilities: bool = False
+    detection_probability: float = 0.95
+    false_alarm: float = 0.01
+    silence: bool = False
+    view_margin: float = 0.2
+    correlation: tuple[float, float] | None = None
     outside_probability: float = 1e-9
+    pointing_std: float = 0.0
+
+    @property
+    def log_outside(self) -> float:
+        """Logarithm of ``outside_probability``."""
+        return math.log(self.outside_probability)
+
+
+PAPER = InferenceSettings()
+ROBUST = InferenceSettings(
+    preset="robust",
+    probabilities=True,
+    silence=True,
+    correlation=(0.3, 0.15),
+    outside_probability=1e-3,
+    pointing_std=0.05,
+)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from mclass.belief import log_orientation_density
+from mclass.correlation import LookLattice
 from mclass.evidence import Engine, Evidence, Pairs
-from mclass.footprint import Grid, Sight, sight, tiles
+from mclass.footprint import Grid, Pointing, sight, tiles
+from mclass.looks import Concern, ObjectLooks
 from mclass.orientation import log_mean_exp
 from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.results import BeliefBlock, ObjectEstimate
@@ -24,7 +26,7 @@ from mclass.summary import NEGLIGIBLE, Readout
 
 _SHORTEST_BLOCK = 4
 _LONGEST_BLOCK = 64
-_ROWS_AT_ONCE = 256
+_STEPS_AT_ONCE = 64
 
 
 @dataclass(frozen=True)
@@ -53,9 +55,9 @@ def known_position(position: tuple[float, float], cell_size: float) -> Candidate
     return Candidates(Grid(corner, cell_size, 1, 1), np.zeros(1, dtype=np.int64), known=True)
 
 
-def pointed_cells(grid: Grid, engine: Engine, rows: IntArray) -> Candidates | None:
-    """All cells that at least one of the measurements points at; None if there is none."""
-    pointing = engine.pointing.select(rows)
+def pointed_cells(grid: Grid, pointing: Pointing, rows: IntArray) -> Candidates | None:
+    """All cells that at least one of the detections points at; None if there is none."""
+    pointing = pointing.select(rows)
     touched = []
     for tile in tiles(grid, pointing):
         seen = sight(grid.centers(tile.cells), grid.cell_size, pointing.select(tile.rows))
@@ -64,91 +66,127 @@ def pointed_cells(grid: Grid, engine: Engine, rows: IntArray) -> Candidates | No
     return Candidates(grid, cells, known=False) if len(cells) else None
 
 
-@dataclass(frozen=True)
-class Step:
-    """The belief after measurement ``row``; ``count`` measurements so far."""
-
-    row: int
-    count: int
-    readout: Readout
-
-
 class ObjectFilter:
-    """Follows one object through its measurements."""
+    """Follows one object through its detections.
+
+    Args:
+        engine: Sums evidence.
+        looks: The looks at the object.
+        candidates: Where it may be.
+        log_priors: Background first, (1 + n,).
+    """
 
     def __init__(
-        self,
-        engine: Engine,
-        candidates: Candidates,
-        log_priors: FloatArray,
-        outside_probability: float,
+        self, engine: Engine, looks: ObjectLooks, candidates: Candidates, log_priors: FloatArray
     ) -> None:
         self.engine = engine
+        self.looks = looks
         self.candidates = candidates
         self.log_priors = log_priors
-        self.log_outside = float(np.log(outside_probability))
         count = len(candidates.cells)
         shape = (count, engine.n_classes, engine.bins)
         self._total = Evidence(np.zeros(shape), np.zeros(count), np.zeros(count, dtype=np.int64))
         self._hits = np.zeros(count, dtype=np.int64)
-        self._misses = np.zeros(count, dtype=np.int64)
+        self._log_outer = np.zeros(count)
+        self._lattice_cells = np.arange(count)
+        self._lattice: LookLattice | None = None
 
-    def steps(self, rows: IntArray) -> Iterator[Step]:
-        """Apply measurements in the given order and yield the belief after each.
+    def steps(self) -> Iterator[Readout]:
+        """The belief after each detection.
 
-        Cells are let go after the last measurement at which they are candidates.
+        Cells are let go after the last detection at which they are candidates.
         """
-        last_candidate = self._last_candidate(rows)
+        last_candidate = self._survey()
         start = 0
-        while start < len(rows):
+        while start < self.looks.n_steps:
             kept = last_candidate >= start
             if not kept.all():
                 self._keep(np.flatnonzero(kept))
                 last_candidate = last_candidate[kept]
             # The belief narrows fast at first: short blocks let cells go early.
-            part = rows[start : start + int(np.clip(start, _SHORTEST_BLOCK, _LONGEST_BLOCK))]
-            for offset, readout in enumerate(self._block(part)):
-                yield Step(int(part[offset]), start + offset + 1, readout)
-            start += len(part)
+            stop = start + int(np.clip(start, _SHORTEST_BLOCK, _LONGEST_BLOCK))
+            yield from self._block(start, min(stop, self.looks.n_steps))
+            start = stop
 
-    def _last_candidate(self, rows: IntArray) -> IntArray:
-        """Position in ``rows`` of the last measurement at which each cell is a candidate, (k,)."""
+    def _survey(self) -> IntArray:
+        """Count the looks around each viewpoint; return each cell's last step as a candidate."""
+        settings = self.looks.looks.settings
+        if settings.correlation is not None:
+            centers = self.candidates.centers
+            positions = self.looks.looks.pointing.positions[self.looks.rows]
+            reach = np.hypot(
+                *np.maximum(
+                    np.abs(positions.max(axis=0) - centers.min(axis=0)),
+                    np.abs(centers.max(axis=0) - positions.min(axis=0)),
+                )
+            )
+            self._lattice = LookLattice(len(centers), float(reach), *settings.correlation)
         last = np.full(len(self.candidates.cells), -1, dtype=np.int64)
         hits = self._hits
-        for start in range(0, len(rows), _ROWS_AT_ONCE):
-            part = rows[start : start + _ROWS_AT_ONCE]
-            inside, located = self._inside(self._sight(part), part)
-            totals = hits[:, None] + np.cumsum(inside & located, axis=1)
+        for start in range(0, self.looks.n_steps, _STEPS_AT_ONCE):
+            stop = min(start + _STEPS_AT_ONCE, self.looks.n_steps)
+            part = self.looks.within(start, stop)
+            concern = self._concern(part)
+            totals = hits[:, None] + np.cumsum(self._new_hits(concern), axis=1)
             candidate = _is_candidate(totals)
-            latest = len(part) - 1 - np.argmax(candidate[:, ::-1], axis=1)
+            latest = stop - start - 1 - np.argmax(candidate[:, ::-1], axis=1)
             last = np.where(candidate.any(axis=1), start + latest, last)
             hits = totals[:, -1]
+            if self._lattice is not None:
+                cell, column = np.nonzero(concern.speaks & ~concern.is_detection)
+                self._lattice.deposit(
+                    cell, concern.seen.ranges[cell, column], concern.seen.directions[cell, column]
+                )
         return last
 
     def _keep(self, cells: IntArray) -> None:
         """Go on with some of the cells only."""
         self.candidates = replace(self.candidates, cells=self.candidates.cells[cells])
         self._total = self._total.select(cells)
-        self._hits, self._misses = self._hits[cells], self._misses[cells]
+        self._hits, self._log_outer = self._hits[cells], self._log_outer[cells]
+        self._lattice_cells = self._lattice_cells[cells]
 
-    def _sight(self, rows: IntArray) -> Sight:
-        pointing = self.engine.pointing.select(rows)
-        return sight(self.candidates.centers, self.candidates.grid.cell_size, pointing)
+    def _concern(self, part: slice) -> Concern:
+        return self.looks.concern(self.candidates.centers, self.candidates.grid.cell_size, part)
 
-    def _inside(self, seen: Sight, rows: IntArray) -> tuple[BoolArray, BoolArray]:
-        """Footprint test of every cell (k, m); which measurements have a footprint at all (m,)."""
-        located = np.isfinite(self.engine.pointing.directions[rows]).all(axis=1)
-        return seen.inside, np.asarray(located & (not self.candidates.known))
+    def _new_hits(self, concern: Concern) -> IntArray:
+        """Whether each detection points at each cell; all do at a known position, (k, steps)."""
+        columns = np.flatnonzero(concern.is_detection)
+        if self.candidates.known:
+            return np.ones((len(concern.speaks), len(columns)), dtype=np.int64)
+        located = concern.seen.inside[:, columns] & concern.located[columns]
+        return located.astype(np.int64)
 
-    def _block(self, rows: IntArray) -> Iterator[Readout]:
-        seen = self._sight(rows)
-        inside, located = self._inside(seen, rows)
-        hits = self._hits[:, None] + np.cumsum(inside & located, axis=1)
-        misses = self._misses[:, None] + np.cumsum(~inside & located, axis=1)
+    def _scale(self, concern: Concern) -> FloatArray | None:
+        """Weight of every look at every cell, (k, l)."""
+        if self._lattice is None:
+            return None
+        shape = concern.speaks.shape
+        cells = np.repeat(self._lattice_cells, shape[1])
+        seen = concern.seen
+        weights = self._lattice.weights(cells, seen.ranges.ravel(), seen.directions.ravel())
+        # Rounding apart, no look that speaks counts for more than one.
+        return np.minimum(weights, 1.0).reshape(shape)
+
+    def _block(self, start: int, stop: int) -> Iterator[Readout]:
+        part = self.looks.within(start, stop)
+        concern = self._concern(part)
+        scale = self._scale(concern)
+        steps = self.looks.steps[part] - start
+        hits = self._hits[:, None] + np.cumsum(self._new_hits(concern), axis=1)
+        factor = np.zeros(concern.log_factor.shape)
+        if not self.candidates.known:
+            factor = concern.log_factor if scale is None else concern.log_factor * scale
+        first = np.searchsorted(steps, np.arange(stop - start))
+        log_outer = self._log_outer[:, None] + np.cumsum(
+            np.add.reduceat(factor, first, axis=1), axis=1
+        )
         candidate = _is_candidate(hits)
-        before, before_mass = self._total, self._mass(self._total, self._misses)
-        after = before + self._evidence(_all_pairs(seen, rows))
-        after_mass = self._mass(after, misses[:, -1])
+        before, before_mass = self._total, self._mass(self._total, self._log_outer)
+        every = np.arange(len(self.candidates.cells))
+        whole = np.zeros(len(steps), dtype=np.int64)
+        after = before + self._evidence(concern, scale, every, whole, part)
+        after_mass = self._mass(after, log_outer[:, -1])
         # What matters neither before the block nor after it does not matter within.
         active = np.flatnonzero(
             candidate.any(axis=1)
@@ -157,41 +195,62 @@ class ObjectFilter:
                 | (after_mass > after_mass[candidate[:, -1]].max(initial=-np.inf) - NEGLIGIBLE)
             )
         )
-        each = self._evidence(_single_pairs(seen.select(active), rows))
-        shape = (len(active), len(rows))
+        each = self._evidence(concern, scale, active, steps, part)
+        shape = (len(active), stop - start)
         classes = each.classes.reshape(*shape, self.engine.n_classes, self.engine.bins)
         classes = before.classes[active, None] + np.cumsum(classes, axis=1)
         background = before.background[active, None] + np.cumsum(
             each.background.reshape(shape), axis=1
         )
-        penalty = np.where(candidate[active], misses[active] * self.log_outside, -np.inf)
-        log_outer = self.log_priors + penalty[..., None]
+        outer = np.where(candidate[active], log_outer[active], -np.inf)
+        outer = self.log_priors + outer[..., None]
         log_joint = np.concatenate([background[..., None], log_mean_exp(classes)], axis=-1)
-        log_joint += log_outer
+        log_joint += outer
         centers = self.candidates.centers[active]
-        self._total, self._hits, self._misses = after, hits[:, -1], misses[:, -1]
-        for t in range(len(rows)):
-            yield Readout(classes[:, t], log_outer[:, t, 1:], log_joint[:, t], centers)
+        self._total, self._hits, self._log_outer = after, hits[:, -1], log_outer[:, -1]
+        for t in range(stop - start):
+            yield Readout(classes[:, t], outer[:, t, 1:], log_joint[:, t], centers)
 
-    def _evidence(self, pairs: Pairs) -> Evidence:
+    def _evidence(
+        self,
+        concern: Concern,
+        scale: FloatArray | None,
+        cells: IntArray,
+        steps: IntArray,
+        part: slice,
+    ) -> Evidence:
+        """Evidence of some cells, a row for each cell and each of the (consecutive) steps."""
+        n_steps = int(steps[-1]) + 1
+        cell, column = np.nonzero(concern.speaks[cells])
+        owner = cell * n_steps + steps[column]
+        at = cells[cell]
+        pairs = Pairs(
+            starts=np.searchsorted(owner, np.arange(len(cells) * n_steps + 1)),
+            looks=self.looks.rows[part][column],
+            ranges=concern.seen.ranges[at, column],
+            directions=concern.seen.directions[at, column],
+            scale=None if scale is None else scale[at, column],
+        )
         exact = self.candidates.known
         return self.engine.exact_evidence(pairs) if exact else self.engine.evidence(pairs)
 
-    def _mass(self, total: Evidence, misses: IntArray) -> FloatArray:
+    def _mass(self, total: Evidence, log_outer: FloatArray) -> FloatArray:
         """Rough log belief of each cell, for leaving out those that do not matter, (k,)."""
         peak = total.classes.max(axis=-1) + self.log_priors[1:]
         best = np.maximum(peak.max(axis=-1), total.background + self.log_priors[0])
-        return np.asarray(best + misses * self.log_outside)
+        return np.asarray(best + log_outer)
 
     def belief(self, last: ObjectEstimate) -> BeliefBlock:
         """The full belief after the last measurement, cells of negligible mass left out."""
-        mass = np.where(_is_candidate(self._hits), self._mass(self._total, self._misses), -np.inf)
+        mass = np.where(
+            _is_candidate(self._hits), self._mass(self._total, self._log_outer), -np.inf
+        )
         kept = np.flatnonzero(mass >= mass.max() - NEGLIGIBLE)
         classes = self._total.classes[kept]
         log_joint = np.concatenate(
             [self._total.background[kept, None], log_mean_exp(classes)], axis=1
         )
-        log_joint += self.log_priors + (self._misses[kept] * self.log_outside)[:, None]
+        log_joint += self.log_priors + self._log_outer[kept, None]
         log_cell = logsumexp(log_joint, axis=1)
         return BeliefBlock(
             object_id=last.object_id,
@@ -211,19 +270,3 @@ class ObjectFilter:
 def _is_candidate(hits: IntArray) -> BoolArray:
     """Cells that at least half as many measurements point at as at the best, same shape."""
     return np.asarray(2 * hits >= hits.max(axis=0))
-
-
-def _all_pairs(seen: Sight, rows: IntArray) -> Pairs:
-    """Every cell with every measurement: one row a cell."""
-    cells, count = seen.ranges.shape
-    return _pairs(seen, rows, starts=np.arange(cells + 1) * count)
-
-
-def _single_pairs(seen: Sight, rows: IntArray) -> Pairs:
-    """Every cell with every measurement: one row a pair."""
-    return _pairs(seen, rows, starts=np.arange(seen.ranges.size + 1))
-
-
-def _pairs(seen: Sight, rows: IntArray, starts: IntArray) -> Pairs:
-    measurements = np.tile(rows, len(seen.ranges))
-    return Pairs(starts, measurements, seen.ranges.ravel(), seen.directions.ravel())

@@ -1,0 +1,233 @@
+"""Which looks concern which cells, and how much each counts.
+
+A look is a detection, or the frame it was taken in. In the paper's filter only detections
+speak, each in full. Where labels are probabilities, every frame in which a cell was in view
+speaks as well (it adds the silence term), detections add the odds of their labels, and looks
+from one place share one vote.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mclass.correlation import LookLattice
+from mclass.evidence import Pairs
+from mclass.footprint import Pointing, Sight, sight
+from mclass.geometry import wrap_angle
+from mclass.model import InferenceSettings
+from mclass.records import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Looks:
+    """All looks of a log: its n detections, then its f frames.
+
+    Attributes:
+        pointing: Where each was taken from; a frame's directions are its field of view,
+            NaN where silence is no evidence, (n + f,).
+        frames: Number of the frame of each look, (n + f,).
+        stamps_ns: (n + f,).
+        n_detections: n.
+        settings: How evidence is weighed.
+    """
+
+    pointing: Pointing
+    frames: IntArray
+    stamps_ns: IntArray
+    n_detections: int
+    settings: InferenceSettings
+
+    def frame_looks(self, frames: IntArray) -> IntArray:
+        """The looks that are these frames."""
+        return frames + self.n_detections
+
+    def in_view(self, seen: Sight, looks: IntArray) -> BoolArray:
+        """Whether frames had cells in view, a margin inside their border, (m, k)."""
+        margin = np.arcsin(np.minimum(self.settings.view_margin / np.maximum(seen.ranges, 1e-9), 1))
+        pointing = self.pointing.select(looks)
+        off_axis = np.abs(wrap_angle(seen.directions + np.pi - pointing.axes))
+        return np.asarray(seen.inside & (off_axis <= pointing.widths / 2.0 - margin))
+
+
+def grid_pairs(looks: Looks, centers: FloatArray, cell_size: float, candidates: IntArray) -> Pairs:
+    """Looks at cells of the grid, those of one cell in a fixed order.
+
+    Args:
+        looks: All looks.
+        centers: Cell centres [m], (m, 2).
+        cell_size: Edge length [m].
+        candidates: Looks that may concern these cells, increasing.
+    """
+    detections = candidates[candidates < looks.n_detections]
+    seen = sight(centers, cell_size, looks.pointing.select(detections))
+    if not looks.settings.probabilities:
+        return joined_pairs([seen], [detections], [seen.inside], None)
+    frames, column = np.unique(looks.frames[candidates], return_inverse=True)
+    frame_looks = looks.frame_looks(frames)
+    frame_seen = sight(centers, cell_size, looks.pointing.select(frame_looks))
+    looked = (
+        looks.in_view(frame_seen, frame_looks)
+        if looks.settings.silence
+        else (np.zeros(frame_seen.inside.shape, dtype=bool))
+    )
+    looked |= _any_by_column(seen.inside, column[: len(detections)], len(frames))
+    weights = _weights(looks.settings, frame_seen, looked)
+    scale = [weights[:, column[: len(detections)]], weights]
+    return joined_pairs([seen, frame_seen], [detections, frame_looks], [seen.inside, looked], scale)
+
+
+def _any_by_column(mask: BoolArray, columns: IntArray, count: int) -> BoolArray:
+    """Whether any entry of a row falls into each column, (m, k) to (m, count)."""
+    totals = np.zeros((len(mask), count), dtype=np.int64)
+    np.add.at(totals.T, columns, mask.T.astype(np.int64))
+    return totals > 0
+
+
+def _weights(settings: InferenceSettings, seen: Sight, looked: BoolArray) -> FloatArray:
+    """Weight of every frame at every cell, 0 where the cell was not looked at, (m, k)."""
+    weights = looked.astype(float)
+    if settings.correlation is not None and looked.any():
+        cells, _ = np.nonzero(looked)
+        ranges, directions = seen.ranges[looked], seen.directions[looked]
+        lattice = LookLattice(len(looked), float(ranges.max()), *settings.correlation)
+        lattice.deposit(cells, ranges, directions)
+        weights[looked] = lattice.weights(cells, ranges, directions)
+    return weights
+
+
+def joined_pairs(
+    seen: list[Sight],
+    looks: list[IntArray],
+    masks: list[BoolArray],
+    scales: list[FloatArray] | None,
+) -> Pairs:
+    """Pairs of cells and looks where the masks hold, cell by cell."""
+    mask = np.concatenate(masks, axis=1)
+    cell, column = np.nonzero(mask)
+    return Pairs(
+        starts=np.searchsorted(cell, np.arange(len(mask) + 1)),
+        looks=np.concatenate(looks)[column],
+        ranges=np.concatenate([part.ranges for part in seen], axis=1)[mask],
+        directions=np.concatenate([part.directions for part in seen], axis=1)[mask],
+        scale=None if scales is None else np.concatenate(scales, axis=1)[mask],
+    )
+
+
+@dataclass(frozen=True)
+class ObjectLooks:
+    """The looks at one object in the order of time, grouped into steps.
+
+    A step is one detection of the object, together with the frames since the detection before;
+    frames after the last detection belong to the last step. Where silence is no evidence
+    there are no frames.
+
+    Attributes:
+        looks: All looks of the log.
+        rows: Those that concern the object, by frame, a detection before its frame, (l,).
+        steps: Step of each, not decreasing, (l,).
+        silent: Frames in which the object was not detected, (l,).
+        rivals: Detections of anything else, by frame: where they point the object may be
+            hidden, or be what was detected, (r,).
+    """
+
+    looks: Looks
+    rows: IntArray
+    steps: IntArray
+    silent: BoolArray
+    rivals: IntArray
+
+    @property
+    def n_steps(self) -> int:
+        """Number of detections of the object."""
+        return int(self.steps[-1]) + 1
+
+    def within(self, first: int, last: int) -> slice:
+        """Positions in ``rows`` of steps ``first`` to ``last - 1``."""
+        start, stop = np.searchsorted(self.steps, [first, last])
+        return slice(int(start), int(stop))
+
+    def concern(self, centers: FloatArray, cell_size: float, part: slice) -> Concern:
+        """How some of the looks concern some cells.
+
+        Args:
+            centers: Cell centres [m], (m, 2).
+            cell_size: Edge length [m].
+            part: Positions in ``rows``.
+        """
+        rows, settings = self.rows[part], self.looks.settings
+        pointing = self.looks.pointing.select(rows)
+        seen = sight(centers, cell_size, pointing)
+        is_detection = rows < self.looks.n_detections
+        located = is_detection & np.isfinite(pointing.directions).all(axis=1)
+        speaks = np.ones(seen.inside.shape, dtype=bool)
+        silent = np.flatnonzero(self.silent[part])
+        if len(silent):
+            speaks[:, silent] = self._could_show(seen.select_looks(silent), rows[silent])
+        log_factor = np.where(seen.inside | ~located, 0.0, settings.log_outside)
+        if settings.pointing_std > 0.0:
+            off_axis = np.abs(wrap_angle(seen.directions + np.pi - pointing.axes))
+            excess = np.maximum(off_axis - pointing.widths / 2.0, 0.0)
+            in_range = (seen.ranges >= pointing.min_range) & (seen.ranges <= pointing.max_range)
+            soft = np.maximum(-0.5 * (excess / settings.pointing_std) ** 2, settings.log_outside)
+            log_factor = np.where(located & in_range & ~seen.inside, soft, log_factor)
+        return Concern(seen, speaks, is_detection, located, log_factor)
+
+    def _could_show(self, seen: Sight, rows: IntArray) -> BoolArray:
+        """Cells in view of frames and not where something else was detected, (m, k)."""
+        shown = self.looks.in_view(seen, rows)
+        frames = self.looks.frames[rows]
+        rivals = self.rivals[np.isin(self.looks.frames[self.rivals], frames)]
+        if len(rivals):
+            rival = self.looks.pointing.select(rivals)
+            column = np.searchsorted(frames, self.looks.frames[rivals])
+            azimuths = seen.directions[:, column] + np.pi
+            covered = np.abs(wrap_angle(azimuths - rival.axes)) <= rival.widths / 2.0
+            shown &= ~_any_by_column(np.asarray(covered), column, len(frames))
+        return shown
+
+
+@dataclass(frozen=True)
+class Concern:
+    """How looks concern cells, (m, l); ``is_detection`` and ``located`` are (l,).
+
+    Attributes:
+        seen: Ranges, directions and footprints.
+        speaks: Whether the look says anything about the cell.
+        is_detection: Detections, not frames.
+        located: Detections that point somewhere.
+        log_factor: What it costs a cell that a detection points elsewhere.
+    """
+
+    seen: Sight
+    speaks: BoolArray
+    is_detection: BoolArray
+    located: BoolArray
+    log_factor: FloatArray
+
+
+def object_looks(looks: Looks, detections: IntArray) -> ObjectLooks:
+    """The looks at an object that these detections, in the order of time, belong to."""
+    steps = np.arange(len(detections))
+    if not looks.settings.probabilities:
+        return ObjectLooks(
+            looks, detections, steps, np.zeros(len(steps), dtype=bool), np.zeros(0, dtype=np.int64)
+        )
+    own = looks.frames[detections]
+    frames = (
+        own if not looks.settings.silence else np.arange(len(looks.frames) - looks.n_detections)
+    )
+    frames = np.unique(frames)
+    rows = np.concatenate([detections, looks.frame_looks(frames)])
+    order = np.argsort(looks.frames[rows], kind="stable")
+    rows = rows[order]
+    step = np.searchsorted(own, looks.frames[rows], side="left")
+    others = np.setdiff1d(np.arange(looks.n_detections), detections)
+    return ObjectLooks(
+        looks=looks,
+        rows=rows,
+        steps=np.minimum(step, len(detections) - 1),
+        silent=(rows >= looks.n_detections) & ~np.isin(looks.frames[rows], own),
+        rivals=others,
+    )
