@@ -202,7 +202,8 @@ class _Walk:
         walk = _Walk(self.buffer)
         walk.read_node(_STAMP, rows)
         seconds = walk.columns["seconds"].values
-        demand(np.abs(seconds) <= _MAX_SECONDS, rows.message, BAD_STAMP)
+        in_range = (seconds >= -_MAX_SECONDS) & (seconds <= _MAX_SECONDS)
+        demand(in_range, rows.message, BAD_STAMP)
         return Column(seconds * 1_000_000_000 + walk.columns["nanos"].values, rows.levels)
 
 

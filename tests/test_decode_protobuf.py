@@ -1,0 +1,427 @@
+"""Protobuf against Google's own classes, on Foxglove's and on random schemas."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from decoding import assert_columns, batch, channel, nested, same
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf import descriptor_pool, message_factory
+from google.protobuf.descriptor_pb2 import (
+    DescriptorProto,
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
+from google.protobuf.duration_pb2 import Duration
+from google.protobuf.message import Message
+from google.protobuf.timestamp_pb2 import Timestamp
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from mclass.errors import LogError
+from mclass.logs.decode import ChannelDecoder
+from mclass.logs.reader import ChannelInfo
+
+F = FieldDescriptorProto
+RANGES: dict[Any, tuple[int, int]] = {
+    F.TYPE_INT32: (-(2**31), 2**31 - 1),
+    F.TYPE_SINT32: (-(2**31), 2**31 - 1),
+    F.TYPE_SFIXED32: (-(2**31), 2**31 - 1),
+    F.TYPE_UINT32: (0, 2**32 - 1),
+    F.TYPE_FIXED32: (0, 2**32 - 1),
+    F.TYPE_INT64: (-(2**63), 2**63 - 1),
+    F.TYPE_SINT64: (-(2**63), 2**63 - 1),
+    F.TYPE_SFIXED64: (-(2**63), 2**63 - 1),
+    F.TYPE_UINT64: (0, 2**64 - 1),
+    F.TYPE_FIXED64: (0, 2**64 - 1),
+    F.TYPE_ENUM: (-(2**31), 2**31 - 1),
+}
+SCALARS = (*RANGES, F.TYPE_BOOL, F.TYPE_FLOAT, F.TYPE_DOUBLE, F.TYPE_STRING, F.TYPE_BYTES)
+STAMPS = {".google.protobuf.Timestamp": Timestamp, ".google.protobuf.Duration": Duration}
+
+_serial = itertools.count()
+
+
+def file_set(file: Any) -> bytes:
+    """A file and all it depends on, serialised."""
+    seen: dict[str, Any] = {}
+
+    def visit(one: Any) -> None:
+        if one.name not in seen:
+            for dependency in one.dependencies:
+                visit(dependency)
+            seen[one.name] = one
+
+    visit(file)
+    files = FileDescriptorSet()
+    for one in seen.values():
+        one.CopyToProto(files.file.add())
+    return files.SerializeToString()
+
+
+def proto_channel(message: type[Message]) -> ChannelInfo:
+    descriptor = message.DESCRIPTOR
+    return channel("protobuf", descriptor.full_name, file_set(descriptor.file), "protobuf")
+
+
+@st.composite
+def message_types(draw: st.DrawFn, depth: int, name: str) -> DescriptorProto:
+    """A random message type; its nested types are declared within it."""
+    message = DescriptorProto(name=name)
+    numbers = draw(
+        st.lists(
+            st.one_of(st.integers(1, 20), st.sampled_from((16, 2048, 2**29 - 1))),
+            min_size=1,
+            max_size=5,
+            unique=True,
+        )
+    )
+    for number in numbers:
+        field = message.field.add(name=f"f{number}", number=number)
+        field.label = draw(st.sampled_from((F.LABEL_OPTIONAL, F.LABEL_REPEATED)))
+        kind = draw(st.sampled_from(("scalar", "scalar", "stamp", "message")))
+        if kind == "message" and depth:
+            message.nested_type.append(draw(message_types(depth - 1, f"M{number}")))
+            field.type, field.type_name = F.TYPE_MESSAGE, f"M{number}"
+        elif kind == "stamp":
+            field.type, field.type_name = F.TYPE_MESSAGE, draw(st.sampled_from(sorted(STAMPS)))
+        else:
+            field.type = draw(st.sampled_from(SCALARS))
+            if field.type == F.TYPE_ENUM:
+                field.type_name = ".random.Choice"
+            elif field.label == F.LABEL_REPEATED and field.type not in (
+                F.TYPE_STRING,
+                F.TYPE_BYTES,
+            ):
+                field.options.packed = True
+    return message
+
+
+def qualify(message: DescriptorProto, name: str, *, packed: bool) -> None:
+    """Give nested types their full names; pack numbers or not."""
+    for field in message.field:
+        if field.type == F.TYPE_MESSAGE and not field.type_name.startswith("."):
+            field.type_name = f"{name}.{field.type_name}"
+        if field.options.packed:
+            field.options.packed = packed
+    for inner in message.nested_type:
+        qualify(inner, f"{name}.{inner.name}", packed=packed)
+
+
+def make_class(root: DescriptorProto, *, packed: bool) -> type[Message]:
+    """A class of Google's for a message type."""
+    file = FileDescriptorProto(name=f"random{next(_serial)}.proto", package="random")
+    file.syntax = "proto3"
+    file.dependency.extend(["google/protobuf/timestamp.proto", "google/protobuf/duration.proto"])
+    file.message_type.add().CopyFrom(root)
+    qualify(file.message_type[0], f".random.{root.name}", packed=packed)
+    choice = file.enum_type.add(name="Choice")
+    choice.value.add(name="NONE", number=0)
+    choice.value.add(name="SEVEN", number=7)
+    pool = descriptor_pool.DescriptorPool()
+    for known in (Timestamp, Duration):
+        pool.AddSerializedFile(known.DESCRIPTOR.file.serialized_pb)
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"random.{root.name}"))
+
+
+def draw_scalar(draw: st.DrawFn, type_: int) -> Any:
+    if type_ in RANGES:
+        low, high = RANGES[type_]
+        return draw(st.one_of(st.integers(low, high), st.sampled_from((low, high, 0, 127, 128))))
+    strategies: dict[int, st.SearchStrategy[Any]] = {
+        F.TYPE_BOOL: st.booleans(),
+        F.TYPE_FLOAT: st.floats(width=32),
+        F.TYPE_DOUBLE: st.floats(),
+        F.TYPE_STRING: st.text(max_size=6),
+        F.TYPE_BYTES: st.binary(max_size=6),
+    }
+    return draw(strategies[type_])
+
+
+def fill(draw: st.DrawFn, message: Any) -> None:
+    """Set some of the fields of a message, at any depth."""
+    for field in message.DESCRIPTOR.fields:
+        repeated = field.is_repeated
+        for _ in range(draw(st.integers(0, 3 if repeated else 1))):
+            if field.type != F.TYPE_MESSAGE:
+                value = draw_scalar(draw, field.type)
+                if repeated:
+                    getattr(message, field.name).append(value)
+                else:
+                    setattr(message, field.name, value)
+                continue
+            inner = getattr(message, field.name)
+            inner = inner.add() if repeated else inner
+            inner.SetInParent()
+            if field.message_type.full_name.startswith("google."):
+                inner.seconds = draw(st.integers(-(9 * 10**9), 9 * 10**9))
+                inner.nanos = draw(st.integers(0, 10**9 - 1))
+            else:
+                fill(draw, inner)
+
+
+@st.composite
+def encoded(draw: st.DrawFn) -> tuple[ChannelInfo, list[Any], list[bytes]]:
+    """Messages of a random type: some the merger of two, numbers packed or not or both."""
+    root = draw(message_types(2, "Root"))
+    classes = [make_class(root, packed=packed) for packed in (True, False)]
+    payloads = []
+    for _ in range(draw(st.integers(1, 3))):
+        payload = b""
+        for _ in range(draw(st.integers(1, 2))):
+            message = draw(st.sampled_from(classes))()
+            fill(draw, message)
+            payload += message.SerializeToString()
+        payloads.append(payload)
+    payloads *= draw(st.sampled_from((1, 20)))
+    messages = [classes[0].FromString(payload) for payload in payloads]
+    return proto_channel(classes[0]), messages, payloads
+
+
+SLOW = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+@SLOW
+@given(encoded())
+def test_random_messages_as_google_reads_them(
+    case: tuple[ChannelInfo, list[Any], list[bytes]],
+) -> None:
+    source, messages, payloads = case
+    decoder = ChannelDecoder.for_channel(source)
+    columns = decoder.columns(batch(source, payloads), list(decoder.paths))
+    assert columns.failures == {}
+    assert_columns(columns.values, messages, decoder.paths)
+
+
+@SLOW
+@given(encoded(), st.data())
+def test_damaged_messages_read_alike_alone_and_together(
+    case: tuple[ChannelInfo, list[Any], list[bytes]], data: st.DataObject
+) -> None:
+    source, _, payloads = case
+    decoder = ChannelDecoder.for_channel(source)
+    paths = list(decoder.paths)
+    damaged = []
+    for payload in payloads:
+        content = bytearray(payload)
+        for _ in range(data.draw(st.integers(0, 2)) if content else 0):
+            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+        damaged.append(bytes(content))
+    together = decoder.columns(batch(source, damaged), paths)
+    alone = [decoder.columns(batch(source, [content]), paths) for content in damaged]
+    assert together.rows.tolist() == [row for row, one in enumerate(alone) if len(one.rows)]
+    assert sum(together.failures.values()) == len(damaged) - len(together.rows)
+    for path in paths:
+        expected = [value for one in alone for value in nested(one.values[path])]
+        assert same(nested(together.values[path]), expected)
+
+
+def test_foxglove_messages() -> None:
+    poses = []
+    for step in range(40):
+        pose = PoseInFrame(frame_id="odom")
+        pose.timestamp.FromNanoseconds(1700000000_000000000 + step * 50_000_001)
+        pose.pose.position.x = step * 0.5
+        pose.pose.position.y = -1.25 if step % 3 else 0.0
+        pose.pose.orientation.w = 1.0
+        poses.append(pose)
+    source = proto_channel(PoseInFrame)
+    decoder = ChannelDecoder.for_channel(source)
+    assert dict(decoder.paths) == {
+        "timestamp": "time",
+        "frame_id": "string",
+        **{f"pose.position.{axis}": "float" for axis in "xyz"},
+        **{f"pose.orientation.{axis}": "float" for axis in "xyzw"},
+    }
+    made = batch(source, [pose.SerializeToString() for pose in poses])
+    assert_columns(decoder.columns(made, list(decoder.paths)).values, poses, decoder.paths)
+
+
+def test_levels_of_nested_messages() -> None:
+    annotations = ImageAnnotations()
+    for name, pairs in (("door", [("id", "o1"), ("score", "0.5")]), ("box", [])):
+        text = annotations.texts.add(text=name)
+        text.position.x = 3.5
+        for key, value in pairs:
+            text.metadata.add(key=key, value=value)
+    source = proto_channel(ImageAnnotations)
+    decoder = ChannelDecoder.for_channel(source)
+    made = batch(source, [b"", annotations.SerializeToString()])
+    columns = decoder.columns(made, ["texts[].text", "texts[].metadata[].value"])
+    assert nested(columns.values["texts[].text"]) == [[], ["door", "box"]]
+    offsets = columns.values["texts[].metadata[].value"].offsets
+    assert [level.tolist() for level in offsets] == [[0, 0, 2], [0, 2, 2]]
+    assert columns.values["texts[].metadata[].value"].values.tolist() == ["o1", "0.5"]
+
+
+def hand_channel(syntax: str, *fields: FieldDescriptorProto) -> ChannelInfo:
+    """A channel of messages ``hand.Root`` with these fields and a few types to use."""
+    file = FileDescriptorProto(name="hand.proto", package="hand", syntax=syntax)
+    root = file.message_type.add(name="Root")
+    root.field.extend(fields)
+    entry = root.nested_type.add(name="Entry")
+    entry.options.map_entry = True
+    choice = file.enum_type.add(name="Choice")
+    for number, name in ((4, "FOUR"), (0, "NONE"), (-1, "MINUS")):
+        choice.value.add(name=name, number=number)
+    files = FileDescriptorSet(file=[file])
+    return channel("protobuf", "hand.Root", files.SerializeToString(), "protobuf")
+
+
+def one(type_: Any, number: int = 1, **more: Any) -> FieldDescriptorProto:
+    return F(name=f"f{number}", number=number, type=type_, label=F.LABEL_OPTIONAL, **more)
+
+
+def many(type_: Any, number: int = 1, **more: Any) -> FieldDescriptorProto:
+    return F(name=f"f{number}", number=number, type=type_, label=F.LABEL_REPEATED, **more)
+
+
+def test_defaults_of_fields_left_out() -> None:
+    source = hand_channel(
+        "proto2",
+        one(F.TYPE_DOUBLE, 1, default_value="-inf"),
+        one(F.TYPE_INT32, 2, default_value="-7"),
+        one(F.TYPE_BOOL, 3, default_value="true"),
+        one(F.TYPE_STRING, 4, default_value="a"),
+        one(F.TYPE_BYTES, 5, default_value="\\001b"),
+        one(F.TYPE_ENUM, 6, type_name=".hand.Choice", default_value="MINUS"),
+        one(F.TYPE_ENUM, 7, type_name=".hand.Choice"),
+        one(F.TYPE_UINT64, 8),
+    )
+    decoder = ChannelDecoder.for_channel(source)
+    columns = decoder.columns(batch(source, [b""]), list(decoder.paths))
+    assert [column.values.tolist() for column in columns.values.values()] == [
+        [-math.inf],
+        [-7],
+        [True],
+        ["a"],
+        [b"\x01b"],
+        [-1],
+        [4],
+        [0],
+    ]
+
+
+def test_maps_groups_and_messages_in_themselves_are_left_out() -> None:
+    source = hand_channel(
+        "proto3",
+        many(F.TYPE_MESSAGE, 1, type_name=".hand.Root.Entry"),
+        one(F.TYPE_GROUP, 2, type_name=".hand.Root"),
+        many(F.TYPE_MESSAGE, 3, type_name=".hand.Root"),
+        one(F.TYPE_INT32, 4),
+    )
+    assert dict(ChannelDecoder.for_channel(source).paths) == {"f4": "int"}
+
+
+def test_unknown_fields_and_foreign_wire_types_are_skipped() -> None:
+    source = hand_channel("proto3", one(F.TYPE_INT32, 1), many(F.TYPE_FLOAT, 2))
+    # Field 1 as a varint 5 and as eight bytes, field 2 as a varint, field 99 as a string.
+    payload = b"\x08\x05" + b"\x09" + bytes(8) + b"\x10\x01" + b"\x9a\x06\x02hi"
+    columns = ChannelDecoder.for_channel(source).columns(batch(source, [payload]), ["f1", "f2[]"])
+    assert columns.failures == {}
+    assert nested(columns.values["f1"]) == [5]
+    assert nested(columns.values["f2[]"]) == [[]]
+
+
+STAMP = ".google.protobuf.Timestamp"
+
+
+@pytest.mark.parametrize("others", [1, 40])
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"\x08", "a field reaches beyond its message"),
+        (b"\x88", "a number does not end"),
+        (b"\x08\x80", "a number does not end"),
+        (b"\x08" + b"\xff" * 10 + b"\x01", "a number does not end"),
+        (b"\x00\x01", "no protobuf field"),
+        (b"\x0b\x0c", "no protobuf field"),
+        (b"\x0e\x01", "no protobuf field"),
+        (b"\x80\x80\x80\x80\x10\x01", "no protobuf field"),
+        (b"\x31\x01\x02", "a field reaches beyond its message"),
+        (b"\x12\x05hi", "a field reaches beyond its message"),
+        (b"\x12\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01hi", "a field reaches beyond its message"),
+        (b"\x12\xff\xff\xff\xff\xff\xff\xff\xff\x7fhi", "a field reaches beyond its message"),
+        (b"\x1a\x03\x08\x96\x81", "a number does not end"),
+        (b"\x22\x03abc", "packed numbers do not fill their field"),
+        (b"\x2a\x02\x01\x80", "a number does not end"),
+        (b"\x2a\x0b" + b"\x80" * 10 + b"\x01", "a number does not end"),
+        (b"\x1a\x0a\x08\xff\xff\xff\xff\xff\xff\xff\xff\x7f", "a stamp is out of range"),
+        (b"\x1a\x0b\x08\x80\x80\x80\x80\x80\x80\x80\x80\x80\x01", "a stamp is out of range"),
+    ],
+)
+def test_lying_payloads_are_left_out(payload: bytes, reason: str, others: int) -> None:
+    source = hand_channel(
+        "proto3",
+        one(F.TYPE_INT64, 1),
+        one(F.TYPE_STRING, 2),
+        one(F.TYPE_MESSAGE, 3, type_name=STAMP),
+        many(F.TYPE_FIXED32, 4),
+        many(F.TYPE_UINT32, 5),
+    )
+    good = b"\x08\x96\x01\x12\x02hi\x1a\x02\x08\x01\x2a\x03\x01\x96\x01"
+    decoder = ChannelDecoder.for_channel(source)
+    made = batch(source, [good] * others + [payload, good])
+    columns = decoder.columns(made, list(decoder.paths))
+    assert columns.rows.tolist() == [*range(others), others + 1]
+    ((said, count),) = columns.failures.items()
+    assert reason in said
+    assert count == 1
+    assert nested(columns.values["f1"]) == [150] * (others + 1)
+    assert nested(columns.values["f3"]) == [10**9] * (others + 1)
+    assert nested(columns.values["f5[]"]) == [[1, 150]] * (others + 1)
+
+
+def test_a_hundred_thousand_elements_in_one_message() -> None:
+    annotations = ImageAnnotations()
+    for number in range(100_000):
+        annotations.circles.add(thickness=number)
+    source = proto_channel(ImageAnnotations)
+    made = batch(source, [annotations.SerializeToString()])
+    columns = ChannelDecoder.for_channel(source).columns(made, ["circles[].thickness"])
+    assert np.array_equal(columns.values["circles[].thickness"].values, np.arange(100_000.0))
+
+
+def _doubling(levels: int) -> FileDescriptorSet:
+    file = FileDescriptorProto(name="a.proto", package="hand")
+    for level in range(levels):
+        message = file.message_type.add(name="Root" if level == 0 else f"T{level}")
+        for number in (1, 2):
+            field = message.field.add(name=f"f{number}", number=number, type=F.TYPE_MESSAGE)
+            field.type_name = f".hand.T{level + 1}"
+    file.message_type.add(name=f"T{levels}")
+    return FileDescriptorSet(file=[file])
+
+
+@pytest.mark.parametrize(
+    ("schema", "message"),
+    [
+        (b"", "does not define the message"),
+        (b"\xff\xff", "is not a protobuf FileDescriptorSet"),
+        (b"syntax = 'proto3';", "is not a protobuf FileDescriptorSet|does not define"),
+        (
+            hand_channel("proto3", one(F.TYPE_MESSAGE, type_name=".hand.Lost")).schema_data,
+            "hand.Root.f1 is a 'hand.Lost', which is not defined",
+        ),
+        (
+            hand_channel("proto3", one(F.TYPE_INT32), many(F.TYPE_INT32)).schema_data,
+            "two fields of number 1",
+        ),
+        (
+            hand_channel("proto2", one(F.TYPE_INT32, default_value="x")).schema_data,
+            "default 'x' of 'f1' is no int",
+        ),
+        (_doubling(40).SerializeToString(), "more than"),
+    ],
+)
+def test_unusable_schemas_are_refused(schema: bytes, message: str) -> None:
+    with pytest.raises(LogError, match=message) as caught:
+        ChannelDecoder.for_channel(channel("protobuf", "hand.Root", schema, "protobuf"))
+    assert caught.value.topic == "/topic"
