@@ -17,9 +17,9 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
+from mclass.outputs.colors import class_color
 from mclass.plot.style import (
     BACKGROUND_COLOR,
-    CLASS_COLORS,
     CLASS_MARKERS,
     OBJECT_COLOR,
     TRACK_COLOR,
@@ -157,7 +157,7 @@ def objects_figure(
     size = _object_size(len(objects))
     for estimate in objects:
         name = drawable(class_names[estimate.class_index])
-        color = CLASS_COLORS[estimate.class_index % len(CLASS_COLORS)]
+        color = class_color(estimate.class_index)
         marker = CLASS_MARKERS[estimate.class_index % len(CLASS_MARKERS)]
         probability = probability_text(estimate.class_probabilities[estimate.class_index + 1])
         tie = "tie: " if estimate.tie else ""
@@ -248,7 +248,7 @@ def _draw_object(
     size: float,
     *,
     text: str,
-    color: str,
+    color: str | tuple[float, float, float],
     marker: str,
 ) -> None:
     """An arrow a mode, as opaque as it is heavy, and a text; with a marker also its place.

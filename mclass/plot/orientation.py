@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
+from mclass.outputs.colors import class_color
 from mclass.plot.style import (
     BACKGROUND_COLOR,
-    CLASS_COLORS,
     class_line,
     drawable,
     halo,
@@ -130,7 +130,7 @@ def _mark_modes(axes: Axes, step: CellReport) -> None:
             textcoords="offset points",
             ha="left" if at < 15.0 else "right" if at > 345.0 else "center",
             fontsize=8,
-            color=CLASS_COLORS[named % len(CLASS_COLORS)],
+            color=class_color(named),
             path_effects=halo(),
         )
 
@@ -160,7 +160,7 @@ def cell_figure(
         f"{count_text(report.measurements, 'measurement')}",
     )
     values = report.class_probabilities[[0, *(index + 1 for index in shown)]].tolist()
-    colors = [BACKGROUND_COLOR, *(CLASS_COLORS[i % len(CLASS_COLORS)] for i in shown)]
+    colors = [BACKGROUND_COLOR, *(class_color(i) for i in shown)]
     names = [BACKGROUND, *(drawable(class_names[i]) for i in shown)]
     hidden = len(class_names) - len(shown)
     if hidden:

@@ -18,12 +18,12 @@ from matplotlib.legend import Legend
 from matplotlib.patheffects import AbstractPathEffect, Normal, Stroke
 
 from mclass.errors import MclassError, UsageError
+from mclass.outputs.colors import class_color
 from mclass.text.terminal import Terminal
 
 Parameters = ParamSpec("Parameters")
 
-# Okabe and Ito's colours, told apart by the colour-blind; dashes tell them apart in grey print.
-CLASS_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+# Dashes and markers tell classes apart in grey print, where their colours cannot.
 CLASS_DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (5, 1, 1, 1)), (0, (1, 1)))
 CLASS_MARKERS = ("o", "s", "^", "D", "v", "P")
 BACKGROUND_COLOR = "#767676"
@@ -103,7 +103,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
 def class_line(index: int) -> dict[str, Any]:
     """Colour and dashes of a class's line; pairs repeat only after twelve classes."""
     return {
-        "color": CLASS_COLORS[index % len(CLASS_COLORS)],
+        "color": class_color(index),
         "linestyle": CLASS_DASHES[index % len(CLASS_DASHES)],
     }
 
