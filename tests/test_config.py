@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from mclass.config import yaml_source
 from mclass.config.find import MODEL_FILE_NAME, find_model
 from mclass.config.model_file import load_model, parse_model
 from mclass.errors import ConfigError, ConfigProblem
-from mclass.model import FieldMapping, Model, TransformSource
+from mclass.model import PAPER, ROBUST, FieldMapping, Model, TransformSource
 
 VALID = """\
 length_unit: dm
@@ -193,6 +194,17 @@ camera_info: /info
     assert log.camera.mount_rpy == pytest.approx((0, math.pi / 12, -math.pi / 2))
 
 
+def test_inference_changes_a_preset() -> None:
+    assert parse_model(edited("{preset: paper}", "{preset: robust}"), "m").inference == ROBUST
+    assert parse_model(edited("inference: {preset: paper}\n", ""), "m").inference == PAPER
+    keys = "{preset: robust, correlation: {range: 5, direction_deg: 90}, pointing_std_deg: 18}"
+    expected = replace(ROBUST, correlation=(0.5, math.pi / 2), pointing_std=math.pi / 10)
+    assert parse_model(edited("{preset: paper}", keys), "m").inference == expected
+    keys = "{preset: robust, correlation: false, probabilities: true, silence: false}"
+    expected = replace(ROBUST, correlation=None, silence=False)
+    assert parse_model(edited("{preset: paper}", keys), "m").inference == expected
+
+
 @pytest.mark.parametrize("number", ["1e-3", "0.001", "+.001", "1E-3", "1.e-3", "0.1e-2"])
 def test_numbers_follow_yaml_1_2(number: str) -> None:
     text = edited("likelihood: 0.001", f"likelihood: {number}")
@@ -346,6 +358,9 @@ def test_density_by_hand() -> None:
         ("range: [2, 40]", "range: [§-1, 2]", "grid.range[0]", "at least 0"),
         ("cell_size: 1", "cell_size: §0", "grid.cell_size", "greater than 0"),
         ("preset: paper", "preset: §papre", "inference.preset", "Did you mean 'paper'"),
+        ("preset: paper", "silence: §on", "inference.silence", "true or false, not the text 'on'"),
+        ("{preset: paper}", "§{silence: true}", "inference", "set both or neither"),
+        ("preset: paper", "correlation: §[1, 2]", "inference.correlation", "section"),
         # covariances
         (
             "[[12, 2], [2, 7]]",

@@ -54,7 +54,10 @@ log:
 grid:
   {cell_size: 1, orientation_bins: 36, footprint: ray, range: [1, 2], origin: [0, 0],
    size: [5, 5]}
-inference: {preset: paper, outside_probability: 1e-6}
+inference:
+  {preset: robust, probabilities: true, detection_probability: 0.9, false_alarm: 0.02,
+   silence: true, view_margin: 1, correlation: {range: 30, direction_deg: 9},
+   pointing_std_deg: 3, outside_probability: 1e-6}
 objects: {o: {position: [1, 2]}}
 """
 

@@ -258,6 +258,13 @@ def choice(*options: str) -> Reader[Any]:
     return read
 
 
+def switch(value: Value) -> bool:
+    """``true`` or ``false``; no other word, as readers of YAML differ about the rest."""
+    if value.scalar not in ("true", "false"):
+        value.fail(f"must be true or false, not {describe(value)}")
+    return value.scalar == "true"
+
+
 def number(
     *,
     minimum: float = -math.inf,

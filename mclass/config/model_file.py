@@ -1,14 +1,14 @@
 """A model file to a checked `mclass.model.Model`, or every fault in it at once.
 
 To add a setting: give its dataclass in `mclass.model` a field, its section here a line
-(`INFERENCE`, say), and `schemas/model.schema.json` a property.
+in the mapping of key to reader, and `schemas/model.schema.json` a property.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +26,21 @@ from mclass.config.checks import (
     fields,
     integer,
     number,
+    switch,
     vector,
 )
 from mclass.config.likelihood_sections import position, read_class_model, read_label_names
 from mclass.config.log_section import read_log
 from mclass.config.yaml_source import Problems
-from mclass.model import LENGTH_UNITS, GridSettings, InferenceSettings, LogSettings, Model
+from mclass.model import (
+    LENGTH_UNITS,
+    PAPER,
+    ROBUST,
+    GridSettings,
+    InferenceSettings,
+    LogSettings,
+    Model,
+)
 
 MAX_BELIEF_BYTES = 64e9
 """Most that the belief of a whole grid may take, at 4 bytes a number."""
@@ -48,11 +57,9 @@ _SECTIONS = (
     "objects",
 )
 
-INFERENCE: Mapping[str, Reader[Any]] = {
-    "preset": choice("paper", "robust"),
-    "outside_probability": number(above=0.0, maximum=1.0),
-}
-"""Keys of ``inference``; each is a field of InferenceSettings."""
+_PRESETS = {"paper": PAPER, "robust": ROBUST}
+DEFAULT_PRESET = "paper"
+"""What a file that names no preset starts from."""
 
 
 def load_model(path: Path | str) -> Model:
@@ -96,11 +103,8 @@ def _model(root: Value, name: str, text: str) -> Model:
     n_classes = max(len(list(top["classes"].pairs())), 1) if "classes" in top else 1
     log = attempt(lambda value: read_log(value, unit, labels), top.get("log"), LogSettings())
     grid = attempt(lambda value: _grid(value, unit, n_classes), top.get("grid"), GridSettings())
-    inference = attempt(
-        lambda value: InferenceSettings(**fields(value, INFERENCE)),
-        top.get("inference"),
-        InferenceSettings(),
-    )
+    preset = _PRESETS[DEFAULT_PRESET]
+    inference = attempt(lambda value: _inference(value, unit), top.get("inference"), preset)
     no_objects: dict[str, tuple[float, float]] = {}
     objects = attempt(lambda value: _objects(value, unit), top.get("objects"), no_objects)
     root.problems.raise_any()
@@ -117,6 +121,40 @@ def _objects(value: Value, unit: float) -> dict[str, tuple[float, float]]:
 
     nowhere = (math.nan, math.nan)
     return {name: attempt(known_position, child, nowhere) for name, child in entries(value).items()}
+
+
+def _inference(value: Value, unit: float) -> InferenceSettings:
+    """A preset with the given keys changed."""
+    distance = number(minimum=0.0, maximum=MAX_COORDINATE, scale=unit)
+    width = number(above=0.0, maximum=MAX_COORDINATE, scale=unit)
+    degree = math.radians(1.0)
+    direction = number(above=0.0, maximum=math.pi, scale=degree)
+
+    def correlation(child: Value) -> tuple[float, float] | None:
+        if child.scalar == "false":
+            return None
+        readers: dict[str, Reader[Any]] = {"range": width, "direction_deg": direction}
+        found = fields(child, readers, required=readers)
+        return found["range"], found["direction_deg"]
+
+    readers: dict[str, Reader[Any]] = {
+        "preset": choice(*_PRESETS),
+        "probabilities": switch,
+        "detection_probability": number(above=0.0, maximum=1.0),
+        "false_alarm": number(above=0.0, maximum=0.5),
+        "silence": switch,
+        "view_margin": distance,
+        "correlation": correlation,
+        "outside_probability": number(above=0.0, maximum=1.0),
+        "pointing_std_deg": number(minimum=0.0, maximum=math.pi / 4.0, scale=degree),
+    }
+    found = fields(value, readers)
+    if "pointing_std_deg" in found:
+        found["pointing_std"] = found.pop("pointing_std_deg")
+    inference = replace(_PRESETS[found.get("preset", DEFAULT_PRESET)], **found)
+    if inference.silence and not inference.probabilities:
+        value.fail("silence can only count where labels have probabilities: set both or neither")
+    return inference
 
 
 def _grid(value: Value, unit: float, n_classes: int) -> GridSettings:

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 import yaml
 
 from mclass.config.checks import text_problem
-from mclass.model import FieldMapping, GridSettings, InferenceSettings, TransformSource
+from mclass.config.model_file import DEFAULT_PRESET
+from mclass.model import FieldMapping, GridSettings, TransformSource
 
 _MAX_CLASSES = 30
 _MAX_NOTE = 300
@@ -267,7 +268,7 @@ grid:
   range: [{_GRID.min_range:g}, {_GRID.max_range:g}]
 
 # `paper` is the plain filter; `robust` adds what real detectors need.
-inference: {{preset: {InferenceSettings().preset}}}
+inference: {{preset: {DEFAULT_PRESET}}}
 
 # Objects whose position is known, by the detector's object id.
 # objects:
