@@ -95,15 +95,15 @@ def test_bytes_counted_by_hand() -> None:
         {
             "timestamp": {"seconds": 300, "nanos": 0},
             "frame_id": "é",
-            "detections": [{"label": "c1", "score": -2.5}, {"box": {}}],
+            "detections": [{"labels": [{"name": "c1", "score": -2.5}]}, {"box": {}}],
         }
     )
     assert data.hex(" ") == " ".join(
         [
             "0a 03 08 ac 02",  # timestamp, 3 bytes: seconds 300 = 0b10_0101100
             "12 02 c3 a9",
-            "1a 0d 0a 02 63 31 11 00 00 00 00 00 00 04 c0",
-            "1a 02 22 00",
+            "1a 0f 0a 0d 0a 02 63 31 11 00 00 00 00 00 00 04 c0",
+            "1a 02 1a 00",
         ]
     )
 

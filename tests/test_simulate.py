@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,8 +140,7 @@ NOISY = Odometry(
 
 def test_odometry_without_errors_is_the_truth() -> None:
     drive = simulate(drive_around())
-    assert drive.frames.covariances is not None
-    np.testing.assert_array_equal(drive.frames.covariances, 0.0)
+    assert drive.frames.covariances is None
     np.testing.assert_allclose(
         drive.frames.poses_world_sensor, drive.truth.poses_world_sensor, atol=1e-12
     )
@@ -438,6 +438,10 @@ def test_detections_that_share_an_id_in_a_frame_are_one_measurement() -> None:
         ("parts",),
     ]
     assert measurements.scores.tolist() == [0.8, 0.9, 0.7, 0.5]
+    # From the left edge of the box at 10 to the right edge of the box at 50.
+    right, left = measurements.directions[0]
+    fx, _, cx, _ = scenario.camera.intrinsics
+    assert left - right == pytest.approx(math.atan((cx - 10) / fx) - math.atan((cx - 60) / fx))
 
 
 def test_clocks_and_latency() -> None:
@@ -483,3 +487,27 @@ def test_a_script_cannot_see_what_the_camera_does_not() -> None:
     up = Camera(mount_rpy=(0.0, -1.2, 0.0))
     with pytest.raises(ModelError, match=r"around\.yaml: stop 1 looks at o2"):
         simulate(replace(scripted(look), camera=up))
+
+
+# Sizes
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"odometry": Odometry(rate=100_000.0)}, "at 100000 a second"),
+        (
+            {
+                "camera": Camera(rate=10_000.0),
+                "objects": (BOOKS, PARTS, replace(BOOKS, object_id="o3")),
+            },
+            "3 objects are more than 1,000,000 looks",
+        ),
+        ({"trajectory": Trajectory((DriveTo((0, 0)), DriveTo((1e7, 0))), 1.0)}, "116 days"),
+    ],
+)
+def test_drives_without_end_are_refused_before_they_begin(
+    change: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ModelError, match=message):
+        simulate(replace(drive_around(), **change))

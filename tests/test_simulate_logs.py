@@ -17,10 +17,12 @@ from mcap_ros2.decoder import DecoderFactory
 
 from mclass.commands.simulate import simulate as command
 from mclass.errors import LogError
+from mclass.logs.measurements import read_measurements
+from mclass.logs.reader import LogReader
 from mclass.messages import proto_json, protobuf, ros
 from mclass.simulation.scenario import Errors, Odometry, Recogniser, Scenario
 from mclass.simulation.scenario_file import load_scenario
-from mclass.simulation.world import Drive, simulate
+from mclass.simulation.world import Drive, simulate, simulate_measurements
 from mclass.simulation.write import Encoding, truth_text, write_log
 
 ROOT = Path(__file__).parent.parent
@@ -205,8 +207,9 @@ def plain(topic: str, value: dict[str, Any]) -> Any:
     if topic == "/detections":
         times = value["timestamp"].values()
         return [
-            (*times, one["label"], one["score"], one["id"], *one["box"].values())
+            (*times, *label.values(), one["id"], *one["box"].values())
             for one in value["detections"]
+            for label in one["labels"]
         ]
     if "covariance" in value.get("pose", {}):
         time, pose = value["header"]["stamp"], value["pose"]["pose"]
@@ -296,6 +299,36 @@ def test_stamps_that_ros_cannot_hold_leave_no_file(office: Scenario, tmp_path: P
     with pytest.raises(LogError):
         write_log(simulate(late), tmp_path / "late.mcap")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("without_ids", [False, True])
+def test_reading_a_log_gives_the_measurements_that_skip_it(
+    encoding: Encoding, without_ids: bool, office: Scenario, tmp_path: Path
+) -> None:
+    assert isinstance(office.detector, Recogniser)
+    assert office.model is not None
+    errors = Errors(clutter=2.0, clutter_with_id=0.7, wrong_id=0.3, without_ids=without_ids)
+    busy = replace(office, detector=replace(office.detector, errors=errors))
+    write_log(simulate(busy), tmp_path / "log.mcap", encoding)
+    with LogReader.open(tmp_path / "log.mcap") as reader:
+        contents = read_measurements(reader, office.model)
+    read, (direct, _) = contents.measurements, simulate_measurements(busy)
+
+    assert contents.frame == "odom"
+    assert ("merged with another detection of the same id" in contents.tally.counts) != without_ids
+    for name in ("frame_index", "labels", "label_offsets"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(direct, name))
+    for name in ("directions", "scores"):
+        np.testing.assert_allclose(getattr(read, name), getattr(direct, name), atol=1e-12)
+    read_ids = [None if i < 0 else read.object_ids[i] for i in read.object_index]
+    assert read_ids == [None if i < 0 else direct.object_ids[i] for i in direct.object_index]
+    for name in ("stamps_ns", "log_times_ns"):
+        np.testing.assert_array_equal(getattr(read.frames, name), getattr(direct.frames, name))
+    for name in ("poses_world_sensor", "covariances", "view_directions"):
+        np.testing.assert_allclose(
+            getattr(read.frames, name), getattr(direct.frames, name), atol=1e-12
+        )
 
 
 # The command

@@ -8,6 +8,7 @@ import numpy as np
 
 from mclass.errors import ModelError
 from mclass.geometry import wrap_angle
+from mclass.logs.directions import hull
 from mclass.records import BoolArray, FloatArray, Frames, IntArray, LabelMeasurements
 from mclass.simulation.camera import azimuths, clip_boxes, planar_mount
 from mclass.simulation.scenario import Camera, Errors, LookAt, Scenario
@@ -153,7 +154,8 @@ def to_measurements(
 ) -> LabelMeasurements:
     """Label measurements of detections: what reading their log gives.
 
-    Detections of one frame that share an id are one row, in the box of the first of them.
+    Detections of one frame that share an id are one row. ``object_ids`` are those of the
+    scenario in its order, while a log only knows the ids that it met.
     """
     count = len(detections)
     key = np.where(
@@ -162,20 +164,21 @@ def to_measurements(
     pairs = np.stack([detections.frame_index, key], axis=1)
     _, first, group = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
-    scores = np.zeros((len(first), detections.scores.shape[1]))
-    np.maximum.at(scores, group.ravel(), detections.scores)
-    scores, rows = scores[order], first[order]
+    row = np.argsort(order)[group.ravel()]
+    rows = first[order]
+    scores = np.zeros((len(rows), detections.scores.shape[1]))
+    np.maximum.at(scores, row, detections.scores)
     present = scores > 0.0
 
-    camera = scenario.camera
-    boxes, frame_index = detections.boxes[rows], detections.frame_index[rows]
+    camera, boxes = scenario.camera, detections.boxes
     middle = 0.5 * (boxes[:, 1] + boxes[:, 3])
     from_heading = [azimuths(camera, boxes[:, edge], middle) for edge in (2, 0)]
-    headings = frames.poses_world_sensor[frame_index, 2] - planar_mount(camera)[2]
+    headings = frames.poses_world_sensor[detections.frame_index, 2] - planar_mount(camera)[2]
+    directions = wrap_angle(headings[:, None] + np.stack(from_heading, axis=1))
     return LabelMeasurements(
         frames=frames,
-        frame_index=frame_index,
-        directions=wrap_angle(headings[:, None] + np.stack(from_heading, axis=1)),
+        frame_index=detections.frame_index[rows],
+        directions=hull(directions, row, len(rows)),
         object_index=detections.id_index[rows],
         object_ids=tuple(item.object_id for item in scenario.objects),
         label_offsets=np.concatenate([[0], np.cumsum(present.sum(axis=1))]),

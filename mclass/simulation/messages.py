@@ -187,9 +187,12 @@ def foxglove_messages(drive: Drive) -> Iterator[Message]:
             "timestamp": divmod(stamp, _SECOND_NS),
             "frame_id": _OPTICAL_FRAME,
             "detections": [
-                {"label": label, "score": score, "id": detection.object_id, "box": detection.box}
+                {
+                    "labels": detection.labels,
+                    "id": detection.object_id,
+                    "box": detection.box,
+                }
                 for detection in detections
-                for label, score in detection.labels
             ],
         }
         yield Message("/detections", "mclass.Detections", log_time, array)

@@ -154,11 +154,12 @@ def draw_labels(
     n_labels = probabilities.shape[2]
     errors = detector.errors
     for index, own_rng in enumerate(rng.spawn(probabilities.shape[1])):
+        seen = np.flatnonzero(looks.seen[:, index])
         uniforms = correlated_uniforms(
-            looks.views[:, index], detector.correlation, 2 * n_labels + 1, own_rng
+            looks.views[seen, index], detector.correlation, 2 * n_labels + 1, own_rng
         )
-        recognised = uniforms[:, :n_labels] < probabilities[:, index]
+        recognised = uniforms[:, :n_labels] < probabilities[seen, index]
         flipped = uniforms[:, n_labels : 2 * n_labels] < errors.label_noise
         reported = np.any(recognised, axis=1) & (uniforms[:, -1] >= errors.miss)
-        returned[:, index] = (recognised ^ flipped) & reported[:, None]
-    return returned & looks.seen[..., None]
+        returned[seen, index] = (recognised ^ flipped) & reported[:, None]
+    return returned

@@ -26,8 +26,11 @@ from mclass.simulation.motion import Path, plan_path, run_odometry
 from mclass.simulation.recognition import Looks, draw_labels, label_probabilities
 from mclass.simulation.scenario import Scenario, Script
 
-MAX_MESSAGES = 2_000_000
+MAX_MESSAGES = 500_000
 """Most of one kind in a drive."""
+
+MAX_LOOKS = 1_000_000
+"""Most frames times objects: about two gigabytes while they are drawn."""
 
 _SECOND_NS = 1_000_000_000
 _ODOMETRY, _DETECTION, _CLUTTER, _CAMERA = range(4)
@@ -113,7 +116,7 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Drive:
         child_frame=scenario.robot_frame,
         stamps_ns=scenario.start_ns + times,
         poses_world_child=run.poses_world_robot,
-        covariances=run.covariances,
+        covariances=run.covariances if run.covariances.any() else None,
     )
     poses_world_robot = path.poses_at(frame_times)
     pose_robot_sensor = planar_mount(camera)
@@ -173,10 +176,8 @@ def _frames(
     camera = scenario.camera
     poses_world_robot = interpolate_poses(track.stamps_ns, track.poses_world_child, stamps_ns)
     poses_world_sensor = compose(poses_world_robot, planar_mount(camera))
-    middle = camera.intrinsics[3]
-    borders = azimuths(
-        camera, np.array([float(camera.image_size[0]), 0.0]), np.array([middle, middle])
-    )
+    width, height = camera.image_size
+    borders = azimuths(camera, np.array([float(width), 0.0]), np.full(2, height / 2.0))
     return Frames(
         stamps_ns=stamps_ns,
         log_times_ns=log_times_ns,
@@ -210,6 +211,12 @@ def _detect(
     scenario: Scenario, seed: int, path: Path, poses_world_robot: FloatArray, truth: Truth
 ) -> Detections:
     """What the detector publishes for all frames."""
+    n_frames, n_objects = len(poses_world_robot), len(scenario.objects)
+    if n_frames * n_objects > MAX_LOOKS:
+        raise ModelError(
+            f"{scenario.name}: {n_frames:,} frames of {n_objects:,} objects are more than "
+            f"{MAX_LOOKS:,} looks. Lower the camera's rate, or make the drive shorter."
+        )
     camera, detector = scenario.camera, scenario.detector
     boxes, visible = project_boxes(camera, scenario.objects, poses_world_robot)
     if isinstance(detector, Script):
@@ -227,11 +234,10 @@ def _detect(
     probabilities = label_probabilities(scenario, looks)
     rng = np.random.default_rng([seed, _DETECTION])
     returned = draw_labels(detector, looks, probabilities, rng)
-    n_frames, n_objects, n_labels = returned.shape
     real = real_detections(returned, probabilities, boxes, camera, detector.errors, rng=rng)
     clutter = clutter_detections(
         n_frames,
-        n_labels,
+        len(scenario.label_names),
         n_objects,
         camera,
         detector.errors,

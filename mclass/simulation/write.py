@@ -81,18 +81,23 @@ def write_log(
         LogError: If the log cannot be written; nothing is left behind then.
     """
     form = _FORMATS[encoding]
-    messages = sorted(form.messages(drive), key=lambda message: message.log_time_ns)
-    start_ns = messages[0].log_time_ns
+    schemas: dict[str, str] = {}
+    encoded: list[tuple[int, str, bytes]] = []
+    for message in form.messages(drive):
+        schemas[message.topic] = message.schema_name
+        data = form.codec(message.schema_name).encode(message.value)
+        encoded.append((message.log_time_ns, message.topic, data))
+    encoded.sort(key=lambda entry: entry[0])
+    start_ns = encoded[0][0]
     with LogWriter(output, source=None, profile=form.profile, overwrite=overwrite) as writer:
-        channels: dict[str, int] = {}
-        for message in messages:
-            name, topic = message.schema_name, message.topic
-            if topic not in channels:
-                channels[topic] = writer.add_channel(
-                    topic, form.message_encoding, name, form.schema_encoding, form.schema(name)
-                )
-            data = form.codec(name).encode(message.value)
-            writer.write(channels[topic], message.log_time_ns, data)
+        channels = {
+            topic: writer.add_channel(
+                topic, form.message_encoding, name, form.schema_encoding, form.schema(name)
+            )
+            for topic, name in schemas.items()
+        }
+        for log_time_ns, topic, data in encoded:
+            writer.write(channels[topic], log_time_ns, data)
         writer.attach(TRUTH_NAME, "application/json", truth_text(drive).encode(), start_ns)
         if drive.scenario.model is not None:
             source = drive.scenario.model.source.encode()
