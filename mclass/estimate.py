@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from mclass import __version__
 from mclass.config.find import MODEL_FILE_NAME, find_model
 from mclass.config.model_file import load_model
 from mclass.errors import LogError
@@ -28,7 +27,6 @@ from mclass.model import Model
 from mclass.outputs.channels import OutputChannels
 from mclass.results import ClassMaps, ObjectEstimate
 
-METADATA_NAME = "mclass"
 _HASH_BLOCK = 1 << 20
 
 
@@ -127,22 +125,16 @@ def run(
             )
             objects, maps = _write_results(problem, channels, every_s)
             settings = {
-                "version": __version__,
-                "model": model.name,
-                "model_sha256": hashlib.sha256(model.source.encode()).hexdigest(),
-                "input": log.name,
-                "input_sha256": digest.result(),
-                "frame": contents.frame,
                 "preset": model.inference.preset,
-                "start": start or "",
-                "end": end or "",
-                "every_s": "" if every_s is None else repr(every_s),
-                "prefix": prefix,
+                "start": start,
+                "end": end,
+                "every_s": every_s,
+                "input": log.name,
             }
-            writer.add_metadata(METADATA_NAME, settings)
-            writer.attach(
-                MODEL_FILE_NAME, "application/yaml", model.source.encode(), reader.end_ns or 0
-            )
+            log_time_ns = reader.end_ns or 0
+            input_hash = f"sha256:{digest.result()}"
+            channels.write_header(log_time_ns, input_hash=input_hash, settings=settings)
+            channels.write_layout(log_time_ns)
         return EstimateReport(
             input=log,
             output=output,
@@ -152,7 +144,7 @@ def run(
             skipped=skipped,
             objects=objects,
             maps=maps,
-            damage=reader.damage.sentences(),
+            damage=reader.damage.sentences,
         )
 
 

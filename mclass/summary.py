@@ -114,7 +114,8 @@ def _orientation_marginal(readout: Readout, index: int) -> FloatArray:
     values = readout.log_likelihood[kept, index] + readout.log_outer[kept, index, None]
     factor = int(resolution_factors(values).max())
     fine = refine(values, factor)
-    marginal = np.log(np.exp(fine - fine.max()).sum(axis=0))
+    highest = fine.max(axis=0)
+    marginal = np.log(np.exp(fine - highest).sum(axis=0)) + highest - fine.max()
     further = max(1, 2 ** int(np.ceil(np.log2(_FINE_BINS / (bins * factor)))))
     return np.asarray(np.exp(refine(marginal, further)))
 

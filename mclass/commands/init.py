@@ -1,0 +1,41 @@
+"""``mclass init``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from mclass.commands.options import LOG, overwrite_option
+
+
+@click.command(short_help="Write a commented model file for a log.")
+@click.argument("log", type=LOG)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="MODEL.yaml",
+    help="Where to write; - for stdout.  [default: mclass.yaml beside the log]",
+)
+@overwrite_option
+def init(log: Path, output: Path | None, overwrite: bool) -> None:
+    r"""Look at LOG and write a commented model file for it.
+
+    The file names the topics found and has a class for every label seen, with viewpoints that
+    are a first guess. Edit them, then `mclass check` the file and `mclass estimate` the log.
+
+    \b
+    Examples:
+      mclass init drive.mcap
+      mclass init drive.mcap -o boxes.yaml
+      mclass init drive.mcap -o -
+    """
+    from mclass.initialise import template_for, write_model_file
+
+    text = template_for(log)
+    if output is not None and str(output) == "-":
+        click.echo(text, nl=False)
+        return
+    path = write_model_file(text, log, output, overwrite=overwrite)
+    click.echo(f"wrote {path}; edit it, then: mclass check {path}")

@@ -1,0 +1,183 @@
+"""``mclass inspect log|objects|cell|model``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from mclass.commands.options import (
+    LOG,
+    echo_json,
+    format_option,
+    model_option,
+    plot_option,
+)
+
+history_option = click.option(
+    "--history", is_flag=True, help="Also the same figures after each measurement, oldest first."
+)
+
+
+@click.group(short_help="Look into a log, a result, a cell or a model.")
+def inspect() -> None:
+    """Look into a log, into the results in an output, or into a model file."""
+
+
+@inspect.command("log", short_help="What is in a log and what of it is used.")
+@click.argument("log", type=LOG)
+@model_option
+@click.option("--verify", is_flag=True, help="Read and check every byte of the log.")
+@format_option
+@click.pass_context
+def inspect_log(
+    ctx: click.Context, log: Path, model_path: Path | None, verify: bool, output_format: str
+) -> None:
+    r"""Say what is in LOG, what `estimate` would use of it, and why not the rest.
+
+    Exit code 3 says that the log is damaged.
+
+    \b
+    Examples:
+      mclass inspect log drive.mcap
+      mclass inspect log drive.mcap --verify --format json
+    """
+    from mclass.inspect_log import look_at
+    from mclass.text.logs import log_json, log_text
+    from mclass.text.terminal import Terminal
+
+    facts = look_at(log, model_path, verify=verify)
+    if output_format == "json":
+        echo_json(log_json(facts))
+    else:
+        click.echo(log_text(facts, Terminal.of(sys.stdout)))
+    if facts.damage:
+        ctx.exit(3)
+
+
+@inspect.command("objects", short_help="Every object: class, position, orientation.")
+@click.argument("out", type=LOG)
+@history_option
+@format_option
+@plot_option
+def inspect_objects(out: Path, history: bool, output_format: str, plot_path: Path | None) -> None:
+    r"""Print every object in OUT: class probabilities, position, orientation modes.
+
+    \b
+    Examples:
+      mclass inspect objects drive.mclass.mcap
+      mclass inspect objects drive.mclass.mcap --history --format json
+      mclass inspect objects drive.mclass.mcap --plot objects.png
+    """
+    from mclass.outputs.readback import OutputLog
+    from mclass.text.cells import history_text
+    from mclass.text.documents import objects_json
+    from mclass.text.objects import objects_text
+    from mclass.text.terminal import Terminal
+
+    with OutputLog.open(out) as output:
+        objects, names, frame = output.objects(), output.class_names, output.frame
+        past = output.history() if history else None
+    if output_format == "json":
+        echo_json(objects_json(objects, names, frame, past))
+    else:
+        terminal = Terminal.of(sys.stdout)
+        click.echo(objects_text(objects, names, frame, terminal))
+        for estimate in objects if past is not None else ():
+            click.echo(f"\nobject {terminal.clean(estimate.object_id)}")
+            click.echo(history_text(past[estimate.object_id], names, terminal))
+    if plot_path is not None:
+        from mclass.plot.maps import objects_figure
+        from mclass.plot.style import save_figure
+
+        save_figure(objects_figure(objects, names, frame), plot_path)
+
+
+@inspect.command(
+    "cell",
+    short_help="One cell's class probabilities and orientation density.",
+    context_settings={"ignore_unknown_options": True},
+)
+@click.argument("out", type=LOG)
+@click.argument("x", type=float)
+@click.argument("y", type=float)
+@click.option("--object", "object_id", metavar="ID", help="That object's own belief.")
+@history_option
+@format_option
+@plot_option
+def inspect_cell(
+    out: Path,
+    x: float,
+    y: float,
+    object_id: str | None,
+    history: bool,
+    output_format: str,
+    plot_path: Path | None,
+) -> None:
+    r"""Print the belief of the cell of OUT that holds the point X Y [m].
+
+    X and Y are in the world frame; negative numbers are typed as they are. With --history
+    the belief after each measurement is computed anew from the measurements in OUT.
+
+    \b
+    Examples:
+      mclass inspect cell drive.mclass.mcap 4.05 -2.5
+      mclass inspect cell drive.mclass.mcap 4.05 -2.5 --object o1 --history
+      mclass inspect cell drive.mclass.mcap 0.5 0.5 --plot cell.png
+    """
+    from mclass.inspection import look_into
+    from mclass.text.cells import cell_text, history_text
+    from mclass.text.documents import cell_json
+    from mclass.text.terminal import Terminal
+
+    found = look_into(out, x, y, object_id, history=history or plot_path is not None)
+    names = found.class_names
+    shown = found.history if history else None
+    if output_format == "json":
+        echo_json(cell_json(found.report, names, shown))
+    else:
+        terminal = Terminal.of(sys.stdout)
+        click.echo(cell_text(found.report, names, found.frame, terminal, object_id))
+        if shown is not None:
+            click.echo("\n" + history_text(shown, names, terminal))
+    if plot_path is not None:
+        from mclass.plot.orientation import cell_figure, orientation_figure
+        from mclass.plot.style import save_figure
+
+        if history:
+            subject = f"cell ({x:g}, {y:g})" if object_id is None else f"object {object_id}"
+            figure = orientation_figure(found.history, names, subject)
+        else:
+            figure = cell_figure(found.report, names, found.frame, object_id)
+        save_figure(figure, plot_path)
+
+
+@inspect.command("model", short_help="A model's likelihood fields.")
+@click.argument("model", type=LOG)
+@format_option
+@plot_option
+def inspect_model(model: Path, output_format: str, plot_path: Path | None) -> None:
+    r"""Print what MODEL says each class returns and from where; draw it with --plot.
+
+    \b
+    Examples:
+      mclass inspect model boxes.yaml
+      mclass inspect model boxes.yaml --plot fields.png
+    """
+    from mclass.config.model_file import load_model
+    from mclass.text.models import model_json, model_text
+    from mclass.text.terminal import Terminal
+
+    loaded = load_model(model)
+    if output_format == "json":
+        echo_json(model_json(loaded))
+    else:
+        click.echo(model_text(loaded, Terminal.of(sys.stdout)))
+    if plot_path is not None:
+        from mclass.model import LENGTH_UNITS
+        from mclass.plot.likelihood import likelihood_figure
+        from mclass.plot.style import save_figure
+
+        unit = (loaded.length_unit, LENGTH_UNITS[loaded.length_unit])
+        save_figure(likelihood_figure(loaded.classes, unit=unit), plot_path)
