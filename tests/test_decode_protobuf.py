@@ -185,7 +185,7 @@ def encoded(draw: st.DrawFn) -> tuple[ChannelInfo, list[Any], list[bytes]]:
     return proto_channel(classes[0]), messages, payloads
 
 
-SLOW = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+SLOW = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 @SLOW

@@ -87,8 +87,13 @@ class RosDecoder(ChannelDecoder):
             begin = begin + _HEADER_SIZE
         walk = _Walk(buffer, begin, end, big if big is not None and big.any() else None)
         messages = np.arange(len(rows), dtype=np.int64)
-        stops = walk.read_struct(self._select(frozenset(wanted)), begin, messages, ())
-        demand(end - stops <= (_CDR_PADDING if self._is_cdr else 0), messages, LEFT_OVER)
+        padding = _CDR_PADDING if self._is_cdr else 0
+        try:
+            stops = walk.read_struct(self._select(frozenset(wanted)), begin, messages, ())
+            demand(end - stops <= padding, messages, LEFT_OVER)
+        except (DamagedError, CutError) as error:
+            # The walk ends at the first fault, so all messages are looked at one by one.
+            raise DamagedError(walk.find_faults(self._layout, padding)) from error
         return walk.columns
 
 
@@ -138,6 +143,7 @@ class _Walk:
 
         Raises:
             DamagedError: If a structure reaches beyond its message.
+            CutError: The same, where elements were skipped one by one.
         """
         base, end = self.base[messages], self.end[messages]
         for run in layout.runs:
@@ -232,38 +238,43 @@ class _Walk:
         offsets = offsets_from(counts)
         starts = np.empty(offsets[-1], dtype=np.int64)
         stop = at.copy()
-        found: list[tuple[str, IntArray]] = []
         active = np.flatnonzero(counts > 0)
         done = 0
         while len(active) >= NARROW:
             starts[offsets[active] + done] = stop[active]
-            try:
-                stop[active] = self.read_struct(layout.bare, stop[active], messages[active], ())
-            except DamagedError as damage:
-                found += damage.found
-                active = active[~np.isin(messages[active], damage.messages)]
-            else:
-                done += 1
-                active = active[counts[active] > done]
+            stop[active] = self.read_struct(layout.bare, stop[active], messages[active], ())
+            done += 1
+            active = active[counts[active] > done]
         for row in active.tolist():
-            message = int(messages[row])
-            skipper = _Skipper(
-                self.buffer.data,
-                int(self.base[message]),
-                int(self.end[message]),
-                _LENGTHS[self.big is not None and bool(self.big[message])],
-            )
+            skipper = self.skipper(int(messages[row]))
             position = int(stop[row])
-            try:
-                for slot in range(int(offsets[row]) + done, int(offsets[row + 1])):
-                    starts[slot] = position
-                    position = skipper.skip(layout, position)
-            except CutError as error:
-                found.append((str(error), np.array([message])))
+            for slot in range(int(offsets[row]) + done, int(offsets[row + 1])):
+                starts[slot] = position
+                position = skipper.skip(layout, position)
             stop[row] = position
-        if found:
-            raise DamagedError(found)
         return starts, stop
+
+    def skipper(self, message: int) -> _Skipper:
+        """For one message."""
+        return _Skipper(
+            self.buffer.data,
+            int(self.base[message]),
+            int(self.end[message]),
+            _LENGTHS[self.big is not None and bool(self.big[message])],
+        )
+
+    def find_faults(self, layout: Struct, padding: int) -> list[tuple[str, IntArray]]:
+        """Reasons, and the messages that cannot be read for them."""
+        found: dict[str, list[int]] = {}
+        for message in range(len(self.base)):
+            skipper = self.skipper(message)
+            try:
+                stop = skipper.skip(layout, skipper.base)
+                if skipper.end - stop > padding:
+                    raise CutError(LEFT_OVER)
+            except CutError as error:
+                found.setdefault(str(error), []).append(message)
+        return [(reason, np.array(messages)) for reason, messages in found.items()]
 
     def lengths(self, at: IntArray, messages: IntArray) -> IntArray:
         """The lengths that the cursors stand behind, (m,)."""
