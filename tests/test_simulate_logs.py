@@ -345,15 +345,36 @@ def test_command_writes_the_log_and_the_truth(tmp_path: Path) -> None:
     assert attachments["truth.json"] == truth.read_bytes()
     assert metadata["mclass_simulation"]["seed"] == "3"
 
-    before = log.read_bytes()
-    assert CliRunner().invoke(command, arguments).exit_code == 2
-    truth.unlink()
+
+@pytest.mark.parametrize("existing", ["toy.mcap", "truth.json"])
+def test_command_writes_both_or_neither(existing: str, tmp_path: Path) -> None:
+    arguments = [str(SCENARIOS / "paper_toy.yaml"), "-o", str(tmp_path / "toy.mcap")]
+    arguments += ["--truth", str(tmp_path / "truth.json")]
+    (tmp_path / existing).write_text("kept")
     result = CliRunner().invoke(command, arguments)
     assert isinstance(result.exception, LogError)
-    assert log.read_bytes() == before
-    assert not truth.exists()
+    assert [path.name for path in tmp_path.iterdir()] == [existing]
+    assert (tmp_path / existing).read_text() == "kept"
+
     assert CliRunner().invoke(command, [*arguments, "--overwrite"]).exit_code == 0
-    assert log.read_bytes() != before
+    assert len(messages(tmp_path / "toy.mcap")) > 1000
+    assert json.loads((tmp_path / "truth.json").read_text())["frame"] == "odom"
+
+
+def test_command_names_the_log_after_the_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(command, [str(SCENARIOS / "paper_toy.yaml")])
+    assert result.exit_code == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["paper_toy.mcap"]
+
+
+def test_truth_does_not_replace_the_log(tmp_path: Path) -> None:
+    same = str(tmp_path / "x.mcap")
+    arguments = [str(SCENARIOS / "paper_toy.yaml"), "-o", same, "--truth", same, "--overwrite"]
+    assert CliRunner().invoke(command, arguments).exit_code == 2
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_command_refuses_what_is_not_there(tmp_path: Path) -> None:

@@ -67,15 +67,16 @@ def simulate(
     """
     from mclass.simulation.scenario_file import load_scenario
     from mclass.simulation.world import simulate as play
-    from mclass.simulation.write import truth_text, write_log
+    from mclass.simulation.write import write_log, write_truth_and_log
 
     log = output if output is not None else Path(scenario.stem + ".mcap")
-    if truth_path is not None and truth_path.exists() and not overwrite:
-        raise click.UsageError(f"{truth_path} exists; give another name or --overwrite")
+    if truth_path is not None and truth_path.resolve() == log.resolve():
+        raise click.UsageError("--truth and --output name the same file; give it another name")
     drive = play(load_scenario(scenario), seed)
-    write_log(drive, log, encoding, overwrite=overwrite)
-    if truth_path is not None:
-        truth_path.write_text(truth_text(drive), encoding="utf-8")
+    if truth_path is None:
+        write_log(drive, log, encoding, overwrite=overwrite)
+    else:
+        write_truth_and_log(drive, truth_path, log, encoding, overwrite=overwrite)
     frames, detections = len(drive.frames), len(drive.detections)
     click.echo(
         f"{log}: {len(drive.truth.object_ids)} objects, {frames} camera frames, "

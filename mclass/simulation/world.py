@@ -30,7 +30,7 @@ MAX_MESSAGES = 500_000
 """Most of one kind in a drive."""
 
 MAX_LOOKS = 1_000_000
-"""Most frames times objects: about two gigabytes while they are drawn."""
+"""Most frames times objects: more would take gigabytes while they are drawn."""
 
 _SECOND_NS = 1_000_000_000
 _ODOMETRY, _DETECTION, _CLUTTER, _CAMERA = range(4)

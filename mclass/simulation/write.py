@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
 from mclass.config.find import MODEL_FILE_NAME
+from mclass.logs.pending import PendingFile
 from mclass.logs.writer import LogWriter
 from mclass.messages import proto_files, proto_json, protobuf, ros
 from mclass.messages.prepared import Value
@@ -104,6 +105,29 @@ def write_log(
             writer.attach(MODEL_FILE_NAME, "application/yaml", source, start_ns)
         about = {"scenario": drive.scenario.name, "seed": str(drive.seed)}
         writer.add_metadata(METADATA_NAME, about)
+
+
+def write_truth_and_log(
+    drive: Drive,
+    truth_path: Path,
+    output: Path,
+    encoding: Encoding = "ros2",
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a drive as `write_log` does, and its truth to a file of its own: both or neither.
+
+    Raises:
+        LogError: If either cannot be written.
+    """
+    truth_file = PendingFile(truth_path, overwrite=overwrite, source=None)
+    try:
+        truth_file.open()
+        truth_file.write(truth_text(drive).encode())
+        write_log(drive, output, encoding, overwrite=overwrite)
+        truth_file.publish()
+    finally:
+        truth_file.discard()
 
 
 def truth_text(drive: Drive) -> str:
