@@ -300,7 +300,7 @@ def test_density_by_hand() -> None:
         ("  c2:\n", "  §0:\n", "classes.0", 'write "0" in quotes'),
         ("  c2:\n", "  §1e-3:\n", "classes.1e-3", 'write "1e-3" in quotes'),
         ("  c2:\n", "  §2020-01-01:\n", "classes.2020-01-01", "as a date"),
-        ("  c2:\n", '  §"":\n', "classes.", "cannot be empty"),
+        ("  c2:\n", '  §"":\n', "classes.", "nothing but spaces"),
         ("  c2:\n", '  §"a\\tb":\n', "classes.a\\tb", "U+0009"),
         ("  c2:\n", "  §background:\n", "classes.background", "another one"),
         ('"0": c1', "§0: c1", "log.labels.0", 'write "0" in quotes'),

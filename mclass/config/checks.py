@@ -11,15 +11,20 @@ from __future__ import annotations
 import difflib
 import itertools
 import math
-import re
-import unicodedata
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn, TypeVar
 
 import yaml
-from yaml.resolver import Resolver
 
+from mclass.config.scalars import (
+    MAX_TEXT,
+    describe,
+    is_null,
+    number_problem,
+    shorten,
+    text_problem,
+)
 from mclass.config.yaml_source import Problems
 
 T = TypeVar("T")
@@ -29,33 +34,6 @@ _NOTHING: Any = object()
 
 MAX_COORDINATE = 1e7
 """Farthest position and longest length [m]; UTM coordinates stay below it."""
-
-_MAX_NUMBER = 1e15
-_MAX_TEXT = 200
-_NUMBER = re.compile(r"[-+]?(0|[1-9][0-9]*|[0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
-_NOT_FINITE = re.compile(r"[-+]?\.?(inf|infinity|nan)", re.IGNORECASE)
-_SLIPS = (
-    (_NUMBER, "remove the quotes"),
-    (re.compile(r"[-+]?[0-9]+,[0-9]+"), "use a decimal point"),
-    (
-        re.compile(r"[-+]?([0-9]+(_[0-9]+)+|0[0-9xob].*)"),
-        "write plain decimal digits without leading zeros or underscores",
-    ),
-    (
-        re.compile(r"[-+.0-9eE]+ *[a-zA-Z²°%/]+[0-9]?"),
-        "leave out the unit: lengths are in length_unit",
-    ),
-)
-_NULLS = frozenset(["", "~", "null", "Null", "NULL"])
-_READ_AS = {
-    "bool": "true or false",
-    "int": "a number",
-    "float": "a number",
-    "null": "nothing",
-    "timestamp": "a date",
-    "merge": "a merge key",
-    "value": "a default value",
-}
 
 
 class Rejected(Exception):  # noqa: N818 - a signal between readers, not an error for users
@@ -98,12 +76,12 @@ class Value:
     @property
     def is_empty(self) -> bool:
         """Whether nothing, or `null`, was given."""
-        return self.scalar in _NULLS
+        return is_null(self.node)
 
     def elements(self) -> list[Value]:
         """The elements of a list; fails on anything else."""
         if not isinstance(self.node, yaml.SequenceNode):
-            self.fail(f"must be a list, not {describe(self)}")
+            self.fail(f"must be a list, not {describe(self.node)}")
         return [
             Value(node, f"{self.key}[{index}]", node.start_mark, self.problems)
             for index, node in enumerate(self.node.value)
@@ -195,12 +173,12 @@ def fields(
 
 def entries(value: Value) -> dict[str, Value]:
     """The values of a section whose keys are names chosen by the user, in file order."""
-    return dict(_pairs(value, check=_name))
+    return dict(_pairs(value, user_names=True))
 
 
 def suggestion(name: str, known: Collection[str]) -> str:
     """``Did you mean ...?``, or nothing when no known name is close."""
-    if len(name) > _MAX_TEXT or len(known) > 1000:
+    if len(name) > MAX_TEXT or len(known) > 1000:
         return ""  # comparing would take long
     close = difflib.get_close_matches(name, known, n=1)
     return f"Did you mean '{close[0]}'?" if close else ""
@@ -215,29 +193,13 @@ def unknown_name(name: str, kind: str, known: Collection[str]) -> str:
     return f"unknown {kind} {shorten(name)}. {suggestion(name, known) or there_are}"
 
 
-def describe(value: Value) -> str:
-    """A value in words, for messages."""
-    if isinstance(value.node, yaml.SequenceNode):
-        return f"a list of {len(value.node.value)}"
-    if isinstance(value.node, yaml.MappingNode):
-        return "a section of keys and values"
-    return "nothing" if value.is_empty else f"the text {shorten(value.node.value)}"
-
-
-def shorten(text: str) -> str:
-    """Text as shown in messages: quoted, escaped, at most 60 characters of it."""
-    return repr(text if len(text) <= 60 else text[:57] + "...")
-
-
 # Readers of single values.
 
 
 def text(value: Value) -> str:
     """A name, topic or path: non-empty text that YAML cannot take for something else."""
     if not isinstance(value.node, yaml.ScalarNode):
-        value.fail(f"must be text, not {describe(value)}")
-    if value.is_empty:
-        value.fail("has no value; give one, in quotes if it is meant to be that text")
+        value.fail(f"must be text, not {describe(value.node)}")
     problem = text_problem(value.node)
     if problem:
         value.fail(problem)
@@ -251,7 +213,7 @@ def choice(*options: str) -> Reader[Any]:
         given = value.node.value
         if not isinstance(given, str) or given not in options:
             close = suggestion(given, options) if isinstance(given, str) else ""
-            problem = f"must be one of {', '.join(options)}, not {describe(value)}"
+            problem = f"must be one of {', '.join(options)}, not {describe(value.node)}"
             value.fail(f"{problem}. {close}" if close else problem)
         return given
 
@@ -261,7 +223,7 @@ def choice(*options: str) -> Reader[Any]:
 def switch(value: Value) -> bool:
     """``true`` or ``false``; no other word, as readers of YAML differ about the rest."""
     if value.scalar not in ("true", "false"):
-        value.fail(f"must be true or false, not {describe(value)}")
+        value.fail(f"must be true or false, not {describe(value.node)}")
     return value.scalar == "true"
 
 
@@ -275,7 +237,7 @@ def number(
     """A finite number times ``scale``; bounds are of the product, ``above`` is exclusive."""
 
     def read(value: Value) -> float:
-        given = _parse_number(value)
+        given = _finite(value)
         scaled = given * scale
         if scaled <= above:
             value.fail(f"must be greater than {above / scale:g}, not {given:g}")
@@ -292,12 +254,19 @@ def integer(minimum: int, maximum: int) -> Reader[int]:
     """A whole number between two inclusive bounds."""
 
     def read(value: Value) -> int:
-        given = _parse_number(value)
+        given = _finite(value)
         if given != int(given) or not minimum <= given <= maximum:
             value.fail(f"must be a whole number from {minimum} to {maximum}, not {given:g}")
         return int(given)
 
     return read
+
+
+def _finite(value: Value) -> float:
+    problem = number_problem(value.node)
+    if problem:
+        value.fail(problem)
+    return float(value.node.value)
 
 
 def coordinate(unit: float) -> Reader[float]:
@@ -331,14 +300,12 @@ def several(reader: Reader[T], values: Collection[Value]) -> tuple[T, ...]:
     return tuple(read)
 
 
-def _pairs(
-    value: Value, check: Callable[[yaml.ScalarNode], str] | None = None
-) -> Iterator[tuple[str, Value]]:
+def _pairs(value: Value, *, user_names: bool = False) -> Iterator[tuple[str, Value]]:
     """Key and value of a mapping in file order; keys that are wrong or repeated are recorded."""
     if value.is_empty:
         return
     if not isinstance(value.node, yaml.MappingNode):
-        value.fail(f"must be a section of keys and values, not {describe(value)}")
+        value.fail(f"must be a section of keys and values, not {describe(value.node)}")
     for key_node, _ in value.node.value:
         if not isinstance(key_node, yaml.ScalarNode):
             problem = "a key must be text, not a list or section"
@@ -346,7 +313,7 @@ def _pairs(
     first_lines: dict[str, int] = {}
     for key_node, child in value.pairs():
         name = key_node.value
-        problem = check(key_node) if check else ""
+        problem = text_problem(key_node) if user_names else ""
         is_merge = name == "<<" and not key_node.style
         if is_merge:
             advice = "repeat the entries, or use *name for a whole value"
@@ -358,60 +325,6 @@ def _pairs(
         if not is_merge and name not in first_lines:
             first_lines[name] = child.mark.line + 1
             yield name, child
-
-
-def _name(node: yaml.ScalarNode) -> str:
-    """What is wrong with a key as a name."""
-    return text_problem(node) if node.value else "a name cannot be empty"
-
-
-def text_problem(node: yaml.ScalarNode) -> str:
-    """What is wrong with a scalar as text."""
-    given = node.value
-    if len(given) > _MAX_TEXT:
-        return f"longer than {_MAX_TEXT} characters"
-    bad = next((c for c in given if unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp")), None)
-    if bad is not None:
-        return f"holds the control character U+{ord(bad):04X}; remove it"
-    if not given.strip():
-        return "holds nothing but spaces"
-    if node.style:
-        return ""
-    read_as = _READ_AS.get(_yaml_1_1_type(given))
-    if read_as is None and _NUMBER.fullmatch(given):
-        read_as = "a number"
-    return f'YAML reads {given} as {read_as}; write "{given}" in quotes' if read_as else ""
-
-
-def _parse_number(value: Value) -> float:
-    """A number by the rules of YAML 1.2."""
-    given = value.scalar
-    if given is None or len(given) > _MAX_TEXT or not _NUMBER.fullmatch(given):
-        value.fail(_number_problem(value))
-    parsed = float(given)
-    if abs(parsed) > _MAX_NUMBER:
-        value.fail(f"must be a number of at most {_MAX_NUMBER:g}, not {given}")
-    return parsed
-
-
-def _yaml_1_1_type(plain: str) -> str:
-    """What older readers, and most editors, take an unquoted scalar for: ``str``, ``bool``..."""
-    tag: str = Resolver().resolve(yaml.ScalarNode, plain, (True, False))  # type: ignore[no-untyped-call]
-    return tag.rsplit(":", 1)[-1]
-
-
-def _number_problem(value: Value) -> str:
-    """What is wrong with a value as a number; knows the usual slips."""
-    if value.is_empty:
-        return "has no value; write a number or remove the key"
-    problem = f"must be a number, not {describe(value)}"
-    if not isinstance(value.node, yaml.ScalarNode) or len(value.node.value) > _MAX_TEXT:
-        return problem
-    given = value.node.value
-    if _NOT_FINITE.fullmatch(given):
-        return f"must be a finite number, not {given}"
-    hints = [hint for slip, hint in _SLIPS if slip.fullmatch(given)]
-    return "; ".join([problem, *hints[:1]])
 
 
 def _join(key: str, name: str) -> str:

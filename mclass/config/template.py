@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 
 import yaml
 
-from mclass.config.checks import text_problem
 from mclass.config.model_file import DEFAULT_PRESET
+from mclass.config.scalars import text_problem
 from mclass.model import FieldMapping, GridSettings, TransformSource
 
 _MAX_CLASSES = 30
