@@ -49,9 +49,8 @@ class DetectionFamily:
 
 @dataclass(frozen=True)
 class PoseFamily:
-    """Where a pose, or a velocity, is in a message."""
+    """Where a pose is in a message."""
 
-    name: str
     schemas: tuple[str, ...]
     rank: int
     stamp: Alternatives
@@ -192,7 +191,6 @@ ANNOTATION_SCHEMAS = ("foxglove.ImageAnnotations",)
 
 POSES: tuple[PoseFamily, ...] = (
     PoseFamily(
-        name="Odometry",
         schemas=("nav_msgs/Odometry", "foxglove.Odometry"),
         rank=0,
         stamp=(*_HEADER_STAMP, *_STAMP),
@@ -203,7 +201,6 @@ POSES: tuple[PoseFamily, ...] = (
         covariance=("pose.covariance", "pose_covariance[]", "pose_covariance", "pose.covariance[]"),
     ),
     PoseFamily(
-        name="PoseWithCovarianceStamped",
         schemas=("geometry_msgs/PoseWithCovarianceStamped",),
         rank=1,
         stamp=_HEADER_STAMP,
@@ -213,7 +210,6 @@ POSES: tuple[PoseFamily, ...] = (
         covariance=("pose.covariance", "pose.covariance[]"),
     ),
     PoseFamily(
-        name="pose",
         schemas=("geometry_msgs/PoseStamped", "foxglove.PoseInFrame"),
         rank=2,
         stamp=(*_HEADER_STAMP, *_STAMP),

@@ -47,6 +47,8 @@ class Inputs:
         tally: Poses and transforms left out or mended, by reason.
         unreadable: Messages that could not be decoded, by topic and reason.
         encoding: For what is written beside.
+        robot_frame: What the poses are of; empty if that is not known.
+        read_channels: Ids of all channels that were read.
     """
 
     sources: Sources
@@ -61,6 +63,8 @@ class Inputs:
     tally: Tally
     unreadable: Mapping[str, Mapping[str, int]]
     encoding: Literal["ros2", "protobuf", "json"]
+    robot_frame: str
+    read_channels: frozenset[int]
 
 
 class InputReader:
@@ -78,6 +82,7 @@ class InputReader:
         self.tally = Tally()
         self._tables: dict[int, Table] = {}
         self._tree: TransformTree | None = None
+        self._robot_frame = ""
         self._exact: Window = (start_ns, end_ns)
         around = _MARGIN_NS + self.max_gap_ns
         self._around: Window = (
@@ -123,6 +128,8 @@ class InputReader:
                 if table.failures
             },
             encoding=self._encoding(source),
+            robot_frame=self._robot_frame,
+            read_channels=frozenset(self._tables),
         )
 
     def _tables_of(self, wanted: Mapping[int, Iterable[str]], window: Window) -> list[Table]:
@@ -319,6 +326,7 @@ class InputReader:
                     self.model,
                     has_boxes=topic in boxed_topics,
                 )
+                self._robot_frame = robot
                 if sensor.placed or not self._moving_transforms():
                     break
             result.append((sensor, looks))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,9 +57,7 @@ def known_labels(found: Detections, model: Model, numbered: Mapping[str, str]) -
         numbered: Names by number, from the log.
     """
     names, codes = encode_texts(found.labels)
-    index = {name: position for position, name in enumerate(model.classes.label_names)}
-    translated = np.array([_translate(name, model, numbered, index) for name in names] + [-1])
-    labels = translated[codes]
+    labels = translate_labels(names, model, numbered)[codes]
     named = labels >= 0
     # Not a number is below every threshold; infinities are no scores either.
     scored = np.isfinite(found.scores) & (found.scores >= model.log.min_score)
@@ -104,13 +102,15 @@ def merge_labels(
     return offsets, labels[first], scores[first]
 
 
-def _translate(
-    name: str, model: Model, numbered: Mapping[str, str], index: Mapping[str, int]
-) -> int:
-    """Index of the model's label, -1 if it has none for the name."""
+def translate_labels(names: Sequence[str], model: Model, numbered: Mapping[str, str]) -> IntArray:
+    """Index of the model's label for each of a detector's names, -1 for none."""
+    index = {name: position for position, name in enumerate(model.classes.label_names)}
     chosen = model.log.labels
-    named = numbered.get(name, name)
-    for candidate in (chosen.get(name), chosen.get(named), named, name):
-        if candidate is not None and candidate in index:
-            return index[candidate]
-    return -1
+    result = np.full(len(names), -1)
+    for row, name in enumerate(names):
+        named = numbered.get(name, name)
+        for candidate in (chosen.get(name), chosen.get(named), named, name):
+            if candidate is not None and candidate in index:
+                result[row] = index[candidate]
+                break
+    return result

@@ -312,8 +312,9 @@ def _pose_source(channel: ChannelInfo, decoders: Decoders) -> PoseSource | None:
         if name in family.schemas:
             fields = family_pose_fields(family, paths)
             if fields is not None:
+                kind = name.replace("/", ".").rpartition(".")[2]
                 return PoseSource(
-                    channel.topic, family.name, family.rank, channel, fields, paths=fields.paths
+                    channel.topic, kind, family.rank, channel, fields, paths=fields.paths
                 )
     return None
 
