@@ -1,120 +1,98 @@
-"""Looking into one cell: its belief as stored, and how each measurement moved it."""
+"""What the `inspect` commands ask: over a log, into a cell."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
+from pathlib import Path
 
-from mclass.belief import posterior
-from mclass.evidence import Evidence, Pairs
-from mclass.footprint import Grid, sight
-from mclass.inference import Problem
-from mclass.orientation import find_modes, refine, resolution_factors
-from mclass.records import FloatArray, IntArray
-from mclass.results import BeliefBlock, CellReport, OrientationMode
-
-_FINE_BINS = 576
-
-
-def stored_report(block: BeliefBlock, cell: int) -> CellReport:
-    """The belief of one of a block's cells.
-
-    Args:
-        block: Holds the cell.
-        cell: Flat index.
-    """
-    at = int(np.searchsorted(block.cells, cell))
-    return _report(
-        block.grid,
-        cell,
-        np.exp(block.log_class_probability[at]),
-        block.log_density[at].astype(float),
-        int(block.measurements[at]),
-        block.stamp_ns,
-    )
+from mclass.cells import grid_history, object_history, stored_report, untouched_report
+from mclass.config.find import MODEL_FILE_NAME, find_model_file
+from mclass.config.model_file import load_model, parse_model
+from mclass.errors import UsageError
+from mclass.inference import prepare
+from mclass.logs.reader import LogReader
+from mclass.logs.survey import Survey, survey
+from mclass.outputs.readback import OutputLog
+from mclass.results import CellReport
+from mclass.text.logs import LogFacts
 
 
-def untouched_report(grid: Grid, cell: int, log_priors: FloatArray, bins: int) -> CellReport:
-    """The prior, as it stands in a cell that nothing has touched."""
-    density = np.full((len(log_priors) - 1, bins), -np.log(2.0 * np.pi))
-    return _report(grid, cell, np.exp(log_priors), density, 0, 0)
-
-
-def cell_history(
-    problem: Problem, grid: Grid, cell: int, object_id: str | None = None
-) -> list[CellReport]:
-    """A cell's belief after each measurement that concerns it, evaluated exactly.
-
-    Args:
-        problem: All measurements and the model.
-        grid: The cell's grid.
-        cell: Flat index.
-        object_id: Only this object's measurements, all of them; None for those of any
-            object whose footprint holds the cell.
-    """
-    rows = _concerning(problem, grid, cell, object_id)
-    pointing = problem.engine.pointing.select(rows)
-    seen = sight(grid.centers(np.array([cell])), grid.cell_size, pointing)
-    each = problem.engine.exact_evidence(
-        Pairs(np.arange(len(rows) + 1), rows, seen.ranges[0], seen.directions[0])
-    )
-    running = Evidence(
-        np.cumsum(each.classes, axis=0),
-        np.cumsum(each.background),
-        np.arange(1, len(rows) + 1),
-    )
-    belief = posterior(running, problem.model.classes.log_priors)
-    stamps = problem.measurements.stamps_ns[rows]
-    return [
-        _report(
-            grid,
-            cell,
-            np.exp(belief.log_class_probability[i]),
-            belief.log_density[i],
-            i + 1,
-            int(stamps[i]),
-            problem.measurements.label_names_of(int(row)),
+def look_over(log: Path, model_path: Path | None, *, verify: bool) -> tuple[LogFacts, Survey]:
+    """What is in a log, by the model that `estimate` would use if there is one."""
+    with LogReader.open(log) as reader:
+        model = None
+        path = model_path or find_model_file(log)
+        attached = reader.attachment(MODEL_FILE_NAME)
+        if path is not None:
+            model = load_model(path)
+        elif attached is not None:
+            model = parse_model(attached, f"{log.name}#{MODEL_FILE_NAME}")
+        found = survey(reader, model)
+        problems = reader.verify() if verify else ()
+        facts = LogFacts(
+            path=str(log),
+            size=reader.size,
+            profile=reader.profile,
+            library=reader.library,
+            start_ns=reader.start_ns,
+            end_ns=reader.end_ns,
+            damage=tuple(dict.fromkeys((*reader.damage.sentences, *problems))),
         )
-        for i, row in enumerate(rows)
-    ]
+    return facts, found
 
 
-def _concerning(problem: Problem, grid: Grid, cell: int, object_id: str | None) -> IntArray:
-    """Rows of the measurements that a cell's belief is made of."""
-    if object_id is not None:
-        index = problem.measurements.object_ids.index(object_id)
-        owners = problem.measurements.object_index[problem.used]
-        return np.asarray(problem.used[owners == index])
-    pointing = problem.engine.pointing.select(problem.used)
-    seen = sight(grid.centers(np.array([cell])), grid.cell_size, pointing)
-    return np.asarray(problem.used[seen.inside[0]])
+@dataclass(frozen=True)
+class CellView:
+    """A cell of an output, and what names it.
+
+    Attributes:
+        report: Its belief as stored.
+        history: After each look at it; empty unless asked for.
+        class_names: Without the background.
+        frame: World frame.
+    """
+
+    report: CellReport
+    history: tuple[CellReport, ...]
+    class_names: tuple[str, ...]
+    frame: str
 
 
-def _report(
-    grid: Grid,
-    cell: int,
-    probabilities: FloatArray,
-    log_density: FloatArray,
-    measurements: int,
-    stamp_ns: int,
-    labels: tuple[str, ...] = (),
-) -> CellReport:
-    row, column = divmod(cell, grid.columns)
-    return CellReport(
-        grid=grid,
-        row=row,
-        column=column,
-        center=grid.centers(np.array(cell)),
-        class_probabilities=probabilities / probabilities.sum(),
-        density=np.exp(log_density),
-        modes=tuple(_modes(values) for values in log_density),
-        measurements=measurements,
-        stamp_ns=stamp_ns,
-        labels=labels,
-    )
+def look_into(out: Path, x: float, y: float, object_id: str | None, *, history: bool) -> CellView:
+    """The cell of an output that holds a point [m].
 
+    Args:
+        out: Written by `estimate`.
+        x: In the world frame.
+        y: In the world frame.
+        object_id: Whose belief; None for the grid's.
+        history: Evaluate the belief after each look, from the measurements in the output.
 
-def _modes(log_density: FloatArray) -> tuple[OrientationMode, ...]:
-    """Modes of one class, on a grid finer than the bins and than the narrowest peak."""
-    factor = max(int(resolution_factors(log_density)), -(-_FINE_BINS // log_density.shape[-1]))
-    fine = refine(log_density, factor)
-    return find_modes(np.exp(fine - fine.max()))
+    Raises:
+        LogError: If the output holds no such belief.
+        UsageError: If the point is not on the grid, or the object is not known.
+    """
+    with OutputLog.open(out) as output:
+        known = [estimate.object_id for estimate in output.objects()]
+        if object_id is not None and object_id not in known:
+            raise UsageError(f"no object {object_id!r}; objects: {', '.join(known) or 'none'}")
+        model = parse_model(output.model_text, output.model_name)
+        block = output.belief_at(x, y, object_id or "")
+        grid = block.grid
+        cell = grid.cell_at(x, y)
+        if cell is None:
+            raise UsageError(f"({x:g}, {y:g}) is not on the grid")
+        steps: list[CellReport] = []
+        touched = len(block.cells) > 0
+        if history:
+            problem = prepare(model, output.measurements())
+            if object_id is not None:
+                steps = object_history(problem, grid, cell, object_id)
+            elif touched:
+                steps = grid_history(problem, cell)
+        if touched:
+            report = stored_report(block, cell)
+        else:
+            priors, bins = model.classes.log_priors, model.grid.orientation_bins
+            report = untouched_report(grid, cell, priors, bins)
+        return CellView(report, tuple(steps), output.class_names, output.frame)

@@ -174,6 +174,23 @@ class ObjectLooks:
             log_factor = np.where(located & in_range & ~seen.inside, soft, log_factor)
         return Concern(seen, speaks, is_detection, located, log_factor)
 
+    def pairs(self, centers: FloatArray, cell_size: float) -> Pairs:
+        """All looks at cells where the object is taken to be, weighed; (m, 2) centres [m]."""
+        concern = self.concern(centers, cell_size, slice(0, len(self.rows)))
+        frames = ~concern.is_detection
+        scale = None
+        if self.looks.settings.probabilities:
+            weights = _weights(
+                self.looks.settings,
+                concern.seen.select_looks(np.flatnonzero(frames)),
+                concern.speaks[:, frames],
+            )
+            column = np.searchsorted(
+                self.looks.frames[self.rows[frames]], self.looks.frames[self.rows]
+            )
+            scale = [weights[:, column]]
+        return joined_pairs([concern.seen], [self.rows], [concern.speaks], scale)
+
     def _could_show(self, seen: Sight, rows: IntArray) -> BoolArray:
         """Cells in view of frames and not where something else was detected, (m, k)."""
         shown = self.looks.in_view(seen, rows)

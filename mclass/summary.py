@@ -55,7 +55,11 @@ def summarise(
     log_total = logsumexp(readout.log_joint)
     probabilities = np.exp(logsumexp(readout.log_joint, axis=0) - log_total)
     probabilities /= probabilities.sum()
-    classes = probabilities[1:]
+    # Among themselves: beside a certain background all classes would seem equal.
+    log_classes = logsumexp(readout.log_joint[:, 1:], axis=0)
+    peak = log_classes.max()
+    classes = np.exp(log_classes - peak) if np.isfinite(peak) else np.ones(len(log_classes))
+    classes /= classes.sum()
     best = int(np.argmax(classes))
     tied = np.flatnonzero(classes >= classes[best] - _TIE)
     poses = np.empty((len(classes), 3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -80,7 +81,7 @@ def estimate(
         prefix=prefix,
         overwrite=overwrite,
     )
-    facts = {
+    facts: dict[str, Any] = {
         "input_path": str(report.input),
         "output_path": str(report.output),
         "model_name": report.model.name,

@@ -43,15 +43,15 @@ def inspect_log(
       mclass inspect log drive.mcap
       mclass inspect log drive.mcap --verify --format json
     """
-    from mclass.inspect_log import look_at
+    from mclass.inspection import look_over
     from mclass.text.logs import log_json, log_text
     from mclass.text.terminal import Terminal
 
-    facts = look_at(log, model_path, verify=verify)
+    facts, survey = look_over(log, model_path, verify=verify)
     if output_format == "json":
-        echo_json(log_json(facts))
+        echo_json(log_json(facts, survey))
     else:
-        click.echo(log_text(facts, Terminal.of(sys.stdout)))
+        click.echo(log_text(facts, survey, Terminal.of(sys.stdout)))
     if facts.damage:
         ctx.exit(3)
 
@@ -84,9 +84,9 @@ def inspect_objects(out: Path, history: bool, output_format: str, plot_path: Pat
     else:
         terminal = Terminal.of(sys.stdout)
         click.echo(objects_text(objects, names, frame, terminal))
-        for estimate in objects if past is not None else ():
-            click.echo(f"\nobject {terminal.clean(estimate.object_id)}")
-            click.echo(history_text(past[estimate.object_id], names, terminal))
+        for object_id, steps in (past or {}).items():
+            click.echo(f"\nobject {terminal.clean(object_id)}")
+            click.echo(history_text(steps, names, terminal))
     if plot_path is not None:
         from mclass.plot.maps import objects_figure
         from mclass.plot.style import save_figure
