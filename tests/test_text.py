@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import math
@@ -13,8 +14,10 @@ from hypothesis import strategies as st
 from lopsided_results import CLASS_NAMES, STAMP_NS, cell, estimate, mode
 
 from mclass.checks import Violation
+from mclass.logs.survey import ChannelUse, SensorUse, Survey
 from mclass.results import OrientationMode
 from mclass.text import (
+    LogFacts,
     Terminal,
     cell_json,
     cell_text,
@@ -23,6 +26,8 @@ from mclass.text import (
     estimate_json,
     estimate_text,
     history_text,
+    log_json,
+    log_text,
     objects_json,
     objects_text,
 )
@@ -357,6 +362,113 @@ def test_estimate_text() -> None:
         "damaged       the file ends early",
     ]
     assert text.endswith(objects_text([estimate()], CLASS_NAMES, "odom", UNICODE))
+
+
+class TestLogText:
+    FACTS = LogFacts(
+        path="run\x07.mcap",
+        size=1_234_567,
+        profile="ros2",
+        library="writer 1.0",
+        start_ns=STAMP_NS,
+        end_ns=STAMP_NS + 42_500_000_000,
+        damage=("lost 1 chunk at byte 77: the checksum does not match",),
+    )
+    SURVEY = Survey(
+        channels=(
+            ChannelUse("/image", "Image", "cdr", 90, 2.25, "", False, "not a type that is read"),
+            ChannelUse("/odom", "Odometry", "cdr", None, None, "pose", True, "Odometry"),
+            ChannelUse("/seen", "Seen", "cdr", 1, 0.02, "detections", True, "fields by name"),
+            ChannelUse("/audio", "Audio", "cdr", 7, 0.125, "", False, "not a type that is read"),
+        ),
+        detections=("/seen",),
+        pose_topic="/odom",
+        pose_kind="Odometry",
+        world_frame="odom",
+        pose_count=840,
+        placed=8,
+        sensors=(SensorUse("/seen", "eye", True, "/info", True, (640, 480), False, 9),),
+        labels={"7": 5, "cat\n": 2},
+        label_names={"7": "books"},
+        unknown_labels={"cat\n": 2},
+        looks=9,
+        detection_count=7,
+        ids=1,
+        encoding="ros2",
+        pose_problems={"stamps going backwards": 3},
+        unreadable={"/odom": {"too short": 1}},
+        notes=("one choice",),
+        problem="no poses were recognised",
+    )
+
+    def test_in_full(self) -> None:
+        assert log_text(self.FACTS, self.SURVEY, UNICODE).split("\n") == [
+            r"log          run\x07.mcap, 1,234,567 bytes",
+            "recorded     2023-11-14T22:13:20.123Z, 42.500 s, profile ros2, by writer 1.0",
+            "used         detections on /seen: 7 in 9 messages, 1 object id",
+            "used         poses from /odom (Odometry): 840 of an unnamed frame in odom,",
+            "             covering 8 of 9 detection messages",
+            "used         camera eye of /seen, 640 x 480 pixels, calibrated by /info, place",
+            "             on the robot assumed",
+            r"labels       7 (books) 5, cat\n 2 (not in the model)",
+            "note         one choice",
+            "left out     3 stamps going backwards",
+            "left out     1 message of /odom: too short",
+            "damaged      lost 1 chunk at byte 77: the checksum does not match",
+            "problem      estimate would fail: no poses were recognised",
+            "",
+            "channels  messages     Hz  type",
+            "used for pose (Odometry)",
+            "  /odom          ?         Odometry",
+            "used for detections (fields by name)",
+            "  /seen          1         Seen",
+            "not used: not a type that is read",
+            "  /image        90   2.25  Image",
+            "  /audio         7  0.125  Audio",
+        ]
+
+    def test_empty_log(self) -> None:
+        facts = LogFacts("a.mcap", 0, "", "", None, None)
+        lines = log_text(facts, Survey(channels=()), UNICODE).split("\n")
+        assert lines == [
+            "log          a.mcap, 0 bytes",
+            "recorded     no messages",
+            "",
+            "no channels",
+        ]
+
+    def test_poses_from_transforms(self) -> None:
+        chain = dataclasses.replace(
+            self.SURVEY, pose_topic="", pose_kind="transforms", transform=("map", "base")
+        )
+        text = log_text(self.FACTS, chain, UNICODE)
+        assert "poses from transforms (map to base): 840 of" in text
+
+    def test_many_labels_are_counted(self) -> None:
+        labels = {f"l{k}": 100 - k for k in range(25)}
+        text = log_text(self.FACTS, dataclasses.replace(self.SURVEY, labels=labels), UNICODE)
+        assert "l19 81, and 5 more" in " ".join(text.split())
+
+    def test_nothing_is_too_wide_or_foreign(self) -> None:
+        evil = "/very/long" * 20 + "\x1b[2J\u202e"
+        row = ChannelUse(evil, evil, evil, 1, 1.0, evil, True, evil)
+        text = log_text(
+            self.FACTS, dataclasses.replace(self.SURVEY, channels=(row,), notes=(evil,)), ASCII
+        )
+        assert text.isascii()
+        assert "\x1b" not in text
+        for line in text.split("\n"):
+            assert len(line) <= 80 or " " not in line.strip()
+
+    def test_json(self) -> None:
+        document = log_json(self.FACTS, self.SURVEY)
+        document = json.loads(json.dumps(document, allow_nan=False))
+        assert document["log"] == "run\x07.mcap"
+        assert document["start_ns"] == str(STAMP_NS)
+        assert document["channels"][0]["why"] == "not a type that is read"
+        assert document["labels"] == {"7": 5, "cat\n": 2}
+        assert document["unreadable"] == {"/odom": {"too short": 1}}
+        assert document["damage"] == list(self.FACTS.damage)
 
 
 class TestChecks:
