@@ -170,8 +170,8 @@ def test_start_times(given: str, stamp: int) -> None:
 
 WRONG = [
     ("start: 2024-02-29T12:00:00.25+01:00", "start: noon", 2, "start", "nanoseconds since 1970"),
-    ("start: 2024-02-29", "start: 2023-02-29", 2, "start", "is not a time"),
-    ("start: 2024-02", "start: 2124-02", 2, "start", "1970 and 2038"),
+    ("start: 2024-02-29", "start: 2023-02-29", 2, "start", "nanoseconds since 1970"),
+    ("start: 2024-02", "start: 2124-02", 2, "start", "before 2038"),
     ("log_clock_offset: -86400.5", "log_clock_offset: -9e9", 3, "log_clock_offset", "before 1970"),
     ("seed: 9", "sede: 9", 4, "sede", "Did you mean 'seed'"),
     ("class: c1, ", "", 7, "objects.o1.class", "missing"),
