@@ -107,14 +107,13 @@ class CdrCodec:
             if isinstance(value, Prepared):
                 # What alignment adds depends on where the message begins, modulo 8.
                 phase = len(out) % _MAX_ALIGNMENT
-
-                def encode(inner: Value) -> bytes:
+                data = value.encoded((name, phase))
+                if data is None:
                     padded = bytearray(phase)
-                    write_fields(padded, inner)
-                    return bytes(padded[phase:])
-
-                out += value.encoded((name, phase), encode)
-            elif number_writer is not None and not isinstance(value, Mapping):
+                    write_fields(padded, value.value)
+                    data = value.keep((name, phase), bytes(padded[phase:]))
+                out += data
+            elif number_writer is not None and not isinstance(value, (dict, Mapping)):
                 number_writer(out, value)
             else:
                 write_fields(out, value)
@@ -185,7 +184,7 @@ class CdrCodec:
         """One field from where the reader stands."""
         if field.type in PRIMITIVE_SIZES:
             if field.array is None:
-                return reader.array(field.type, 1)[0].item()
+                return reader.number(field.type)
             return reader.array(field.type, reader.count() if field.array == -1 else field.array)
         if field.array is None:
             return self._read_element(reader, field)
@@ -218,6 +217,15 @@ class _Reader:
         self._name = name
         self._position = 0
 
+    def number(self, type_name: str) -> Any:
+        """The next number; much quicker than an array of one."""
+        number = _PRIMITIVES[type_name]
+        start = self._position + -self._position % number.size
+        self._position = start + number.size
+        if self._position > len(self._body):
+            raise self._early(self._position)
+        return number.unpack_from(self._body, start)[0]
+
     def array(self, type_name: str, count: int) -> npt.NDArray[Any]:
         """The next ``count`` numbers."""
         dtype = _DTYPES[type_name]
@@ -227,7 +235,7 @@ class _Reader:
 
     def count(self) -> int:
         """Length of the sequence that follows."""
-        count: int = self.array("uint32", 1)[0].item()
+        count: int = self.number("uint32")
         # Every element takes a byte at least, so a count beyond the rest is a lie.
         if count > len(self._body) - self._position:
             raise LogError(f"{self._name}: a sequence of {count} elements does not fit the message")
@@ -241,9 +249,13 @@ class _Reader:
     def _take(self, size: int) -> memoryview:
         end = self._position + size
         if end > len(self._body):
-            raise LogError(f"{self._name}: the message ends {end - len(self._body)} bytes early")
+            raise self._early(end)
         self._position, start = end, self._position
         return self._body[start:end]
+
+    def _early(self, end: int) -> LogError:
+        missing = end - len(self._body)
+        return LogError(f"{self._name}: the message ends {missing} bytes early")
 
 
 def _align(out: bytearray, size: int) -> None:
@@ -274,8 +286,13 @@ def _write_string(out: bytearray, value: Any) -> None:
 def _array_writer(type_name: str, expected: int | None) -> _Write:
     """Writer of numbers: ``expected`` many, -1 for a sequence, None for any number uncounted."""
     dtype = _DTYPES[type_name]
+    few = struct.Struct(f"<{expected or 0}{_FORMATS[type_name]}") if (expected or 0) > 0 else None
 
     def write(out: bytearray, values: Any) -> None:
+        if few is not None and isinstance(values, tuple):
+            out += _PADDING[-len(out) % dtype.itemsize]
+            out += few.pack(*values)
+            return
         array = number_array(values, dtype)
         if expected == -1:
             _align(out, 4)

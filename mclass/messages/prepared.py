@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from typing import Any, TypeAlias
 
 Value: TypeAlias = Mapping[str, Any]
@@ -20,9 +20,11 @@ class Prepared:
         self.value = value
         self._encoded: dict[Hashable, bytes] = {}
 
-    def encoded(self, key: Hashable, encode: Callable[[Value], bytes]) -> bytes:
-        """Bytes under ``key``, which names everything but the value that they depend on."""
-        data = self._encoded.get(key)
-        if data is None:
-            data = self._encoded[key] = encode(self.value)
+    def encoded(self, key: Hashable) -> bytes | None:
+        """Bytes kept under ``key``, which names everything but the value that they depend on."""
+        return self._encoded.get(key)
+
+    def keep(self, key: Hashable, data: bytes) -> bytes:
+        """Keep bytes under ``key``; returns them."""
+        self._encoded[key] = data
         return data

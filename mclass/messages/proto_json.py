@@ -68,7 +68,8 @@ class JsonCodec:
 
     def _encode(self, name: str, value: Any) -> bytes:
         if isinstance(value, Prepared):
-            return value.encoded((name, "json"), lambda inner: self._encode(name, inner))
+            key = (name, "json")
+            return value.encoded(key) or value.keep(key, self._encode(name, value.value))
         fields = {field.name: field for field in self._declared[name].field}
         if not isinstance(value, Mapping):
             value = dict(zip(fields, value, strict=True))

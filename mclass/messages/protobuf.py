@@ -136,7 +136,7 @@ class ProtobufCodec:
 
     def _encode(self, name: str, value: Any) -> bytes:
         if isinstance(value, Prepared):
-            return value.encoded(name, lambda inner: self._encode(name, inner))
+            return value.encoded(name) or value.keep(name, self._encode(name, value.value))
         fields = self._fields[name]
         if not isinstance(value, Mapping):
             if len(value) != len(fields):
@@ -162,7 +162,7 @@ class ProtobufCodec:
 
     def _decode(self, name: str, data: memoryview) -> dict[str, Any]:
         fields = self._fields[name]
-        message = {field.name: self._absent(field) for field in fields.values()}
+        message: dict[str, Any] = {}
         chunks: dict[str, list[Any]] = {}
         for number, wire_type, content in _wire_fields(data):
             field = fields.get(number)
@@ -171,17 +171,21 @@ class ProtobufCodec:
             if wire_type == _BYTES and field.repeated and field.kind in _FIXED:
                 chunks.setdefault(field.name, []).append(np.frombuffer(content, _FIXED[field.kind]))
             elif wire_type == _BYTES and field.repeated and _is_varint(field.kind):
-                message[field.name] += [_integer(field.kind, item) for item in _varints(content)]
+                packed = [_integer(field.kind, item) for item in _varints(content)]
+                message.setdefault(field.name, []).extend(packed)
             else:
                 single = self._single(field, wire_type, content)
                 if field.repeated and field.kind in _FIXED:
                     chunks.setdefault(field.name, []).append(np.array([single], _FIXED[field.kind]))
                 elif field.repeated:
-                    message[field.name].append(single)
+                    message.setdefault(field.name, []).append(single)
                 else:
                     message[field.name] = single
         for field_name, arrays in chunks.items():
             message[field_name] = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+        for field in fields.values():
+            if field.name not in message:
+                message[field.name] = self._absent(field)
         return message
 
     def _absent(self, field: _Field) -> Any:
