@@ -189,25 +189,32 @@ def test_detections_in_ros(office_drive: Drive, decoded: dict[str, list[tuple[in
     assert box.center.position.y + box.size_y / 2 == pytest.approx(bottom)
 
 
+BOX = ("center_x", "center_y", "width", "height")
+
+
+def in_order(fields: Mapping[str, Any]) -> list[Any]:
+    """Values by the names of their fields."""
+    return [fields[key] for key in sorted(fields)]
+
+
 def plain(topic: str, value: dict[str, Any]) -> Any:
     """What a message says, whatever its schema calls it."""
     if topic == "/detections" and "header" in value:
         return [
             (
-                value["header"]["stamp"]["sec"],
-                value["header"]["stamp"]["nanosec"],
+                *in_order(value["header"]["stamp"]),
                 *(result["hypothesis"]["class_id"], result["hypothesis"]["score"]),
                 one["id"],
-                *one["bbox"]["center"]["position"].values(),
+                *in_order(one["bbox"]["center"]["position"]),
                 *(one["bbox"]["size_x"], one["bbox"]["size_y"]),
             )
             for one in value["detections"]
             for result in one["results"]
         ]
     if topic == "/detections":
-        times = value["timestamp"].values()
+        times = in_order(value["timestamp"])
         return [
-            (*times, *label.values(), one["id"], *one["box"].values())
+            (*times, *in_order(label), one["id"], *(one["box"][key] for key in BOX))
             for one in value["detections"]
             for label in one["labels"]
         ]
@@ -221,9 +228,9 @@ def plain(topic: str, value: dict[str, Any]) -> Any:
     elif topic.startswith("/tf"):
         return [
             [
-                *one.get("header", {"stamp": one.get("timestamp")})["stamp"].values(),
-                *one.get("transform", one)["translation"].values(),
-                *one.get("transform", one)["rotation"].values(),
+                *in_order(one.get("header", {"stamp": one.get("timestamp")})["stamp"]),
+                *in_order(one.get("transform", one)["translation"]),
+                *in_order(one.get("transform", one)["rotation"]),
             ]
             for one in value["transforms"]
         ]
@@ -231,7 +238,7 @@ def plain(topic: str, value: dict[str, Any]) -> Any:
         matrix = value["k"] if "k" in value else value["K"]
         return [value["width"], value["height"], list(matrix)]
     vectors = (time, pose["position"], pose["orientation"], linear, angular)
-    return [list(vector.values()) for vector in vectors], list(covariance)
+    return [in_order(vector) for vector in vectors], list(covariance)
 
 
 def test_the_three_encodings_hold_the_same_numbers(office_logs: dict[Encoding, Path]) -> None:
