@@ -326,6 +326,14 @@ class TestRaySegments:
         ]
         np.testing.assert_allclose(segments, expected, atol=1e-12)
 
+    def test_a_box_as_a_ray_is_its_middle(self) -> None:
+        # From 170 to -150 degrees, across the turn: the middle is -170.
+        edges = [[np.deg2rad(170.0), np.deg2rad(-150.0)]]
+        measurements = measurements_of([[1.0, 2.0, 0.0]], [[0]], edges)
+        segments = ray_segments(measurements, 2.0, "ray")
+        end = [1.0 + 2.0 * np.cos(np.deg2rad(190.0)), 2.0 + 2.0 * np.sin(np.deg2rad(190.0))]
+        np.testing.assert_allclose(segments, [[[1.0, 2.0], end]])
+
     def test_of_many_some(self) -> None:
         count = 1000
         poses = [[float(k), 0.0, 0.0] for k in range(count)]

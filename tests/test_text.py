@@ -270,6 +270,10 @@ class TestCellText:
         text = cell_text(cell(measurements=0, labels=()), CLASS_NAMES, "odom", UNICODE)
         assert "no measurement: this is the prior" in text
 
+    def test_unknown_last_labels_are_not_made_up(self) -> None:
+        lines = cell_text(cell(labels=()), CLASS_NAMES, "odom", UNICODE).split("\n")
+        assert lines[1] == "3 measurements, the last at 2023-11-14T22:13:20.123Z"
+
     def test_object_belief_names_its_object(self) -> None:
         text = cell_text(cell(), CLASS_NAMES, "odom", UNICODE, object_id="o\n7")
         assert text.startswith("object o\\n7, row 3, column 7")
@@ -325,6 +329,13 @@ class TestHistoryText:
         steps = [cell(probabilities=(0.1, 0.2, 0.7), modes=((mode(5, 1, 1),), (mode(7, 1, 1),)))]
         last = history_text(steps, CLASS_NAMES, UNICODE).split("\n")[-1]
         assert " ".join(last.split()) == "3 0.000 books, parts 0.1000 0.7000 0.2000 7.0 (100 %)"
+
+    def test_rounding_does_not_order_modes(self) -> None:
+        one, other = mode(56.3, 0.5 - 1e-12, 9), mode(236.3, 0.5 + 1e-12, 9)
+        text = history_text([estimate(modes=(other, one))], CLASS_NAMES, UNICODE)
+        assert text.endswith("56.3 (50 %), 236.3 (50 %)")
+        table_text = objects_text([estimate(modes=(other, one))], CLASS_NAMES, "odom", UNICODE)
+        assert table_text.index("56.3 ±") < table_text.index("236.3 ±")
 
     def test_classes_that_do_not_fit_are_counted(self) -> None:
         names = [f"class_{k}" for k in range(5)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -44,12 +45,18 @@ _ARROW = 0.08  # of the larger side of the plane
 Limits = tuple[float, float, float, float]
 
 
-def ray_segments(measurements: LabelMeasurements, max_range: float, most: int = 200) -> FloatArray:
-    """Where detections pointed: a segment for a ray, both edges for a box.
+def ray_segments(
+    measurements: LabelMeasurements,
+    max_range: float,
+    footprint: Literal["cone", "ray"] = "cone",
+    most: int = 100,
+) -> FloatArray:
+    """Where detections pointed: a segment for a ray, both edges for a cone.
 
     Args:
         measurements: Those without direction are left out.
         max_range: Length of the segments [m].
+        footprint: What a box is on the ground; a ray is at its middle.
         most: Of more detections, only so many, evenly chosen.
 
     Returns:
@@ -60,9 +67,14 @@ def ray_segments(measurements: LabelMeasurements, max_range: float, most: int = 
         rows = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
     starts = measurements.frames.poses_world_sensor[measurements.frame_index[rows], :2]
     right, left = measurements.directions[rows].T
-    is_box = left != right
-    directions = np.concatenate([right, left[is_box]])
-    starts = np.concatenate([starts, starts[is_box]])
+    # Counter-clockwise from right to left, across the turn from pi to -pi too.
+    width = np.remainder(left - right, 2.0 * np.pi)
+    if footprint == "ray":
+        directions = right + 0.5 * width
+    else:
+        is_cone = width > 0.0
+        directions = np.concatenate([right, left[is_cone]])
+        starts = np.concatenate([starts, starts[is_cone]])
     ends = starts + max_range * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
     return np.stack([starts, ends], axis=1)
 
@@ -226,7 +238,7 @@ def _draw_scene(
     axes.set_aspect("equal")
     axes.set(xlim=limits[:2], ylim=limits[2:])
     if rays is not None and len(rays):
-        alpha = float(np.clip(20.0 / len(rays), 0.15, 0.8))
+        alpha = float(np.clip(15.0 / len(rays), 0.1, 0.8))
         axes.add_collection(
             LineCollection(list(rays), colors=_RAY_COLOR, linewidths=0.7, alpha=alpha),
             autolim=False,

@@ -13,6 +13,7 @@ from mclass.text.terminal import Terminal, table, wrap
 from mclass.text.values import (
     count_text,
     degrees_text,
+    in_reading_order,
     list_text,
     mode_text,
     probability_text,
@@ -55,13 +56,13 @@ def cell_text(
         f"{terminal.clean(frame)}, size {size:g} m"
     ]
     if report.measurements:
-        labels = ", ".join(terminal.clean(label) for label in report.labels) or "no label"
-        lines += wrap(
+        last = (
             f"{count_text(report.measurements, 'measurement')}, "
-            f"the last at {stamp_text(report.stamp_ns)}: {labels}",
-            terminal,
-            "  ",
+            f"the last at {stamp_text(report.stamp_ns)}"
         )
+        if report.labels:
+            last += f": {', '.join(terminal.clean(label) for label in report.labels)}"
+        lines += wrap(last, terminal, "  ")
     else:
         lines.append("no measurement: this is the prior")
     lines += ["", *_probability_bars(report, names, terminal)]
@@ -119,7 +120,7 @@ def _density_chart(report: CellReport, index: int, name: str, terminal: Terminal
     peak = int(density.argmax())
     where = degrees_text(2.0 * np.pi * peak / len(density))
     columns = _resample(density, min(_CHART_COLUMNS, terminal.width - 4))
-    modes = report.modes[index]
+    modes = in_reading_order(report.modes[index])
     angles = "; ".join(mode_text(mode, terminal) for mode in modes[:4]) or "none"
     if len(modes) > 4:
         angles += f"; + {len(modes) - 4} more"
@@ -206,5 +207,6 @@ def _orientation_summary(step: ObjectEstimate | CellReport) -> str:
         modes = step.modes[int(step.class_probabilities[1:].argmax())]
     if not modes:
         return "any (flat)"
-    parts = [f"{degrees_text(mode.orientation)} ({share_text(mode.mass)})" for mode in modes[:2]]
+    shown = in_reading_order(modes)[:2]
+    parts = [f"{degrees_text(mode.orientation)} ({share_text(mode.mass)})" for mode in shown]
     return ", ".join(parts) + (f", + {len(modes) - 2}" if len(modes) > 2 else "")

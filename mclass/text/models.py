@@ -51,7 +51,7 @@ def model_text(model: Model, terminal: Terminal) -> str:
     for (class_index, label), entry in sorted(classes.likelihoods.items()):
         names = [classes.class_names[class_index], classes.label_names[label]]
         for line in _viewpoint_lines(entry, scale):
-            rows.append([*(terminal.clean(name) for name in names), *line])
+            rows.append([*(terminal.clean(name) if name else "" for name in names), *line])
             names = ["", ""]
     headings = [
         "class",

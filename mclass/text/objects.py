@@ -12,6 +12,7 @@ from mclass.text.documents import BACKGROUND
 from mclass.text.terminal import Terminal, display_width, table, wrap
 from mclass.text.values import (
     count_text,
+    in_reading_order,
     list_text,
     mode_text,
     probability_text,
@@ -102,9 +103,10 @@ def _mode_lines(modes: Sequence[OrientationMode], terminal: Terminal) -> str:
     """One mode a line, heaviest first; those that hold next to nothing are counted."""
     if not modes:
         return "any (flat)"
-    shown = [mode for mode in modes[:_LISTED_MODES] if mode.mass >= _NEGLIGIBLE] or modes[:1]
+    ordered = in_reading_order(modes)
+    shown = [mode for mode in ordered[:_LISTED_MODES] if mode.mass >= _NEGLIGIBLE] or ordered[:1]
     lines = [mode_text(mode, terminal) for mode in shown]
-    hidden = modes[len(shown) :]
+    hidden = ordered[len(shown) :]
     if hidden:
         lines.append(f"+ {len(hidden)} more ({share_text(sum(mode.mass for mode in hidden))})")
     return "\n".join(lines)

@@ -57,6 +57,11 @@ def mode_text(mode: OrientationMode, terminal: Terminal) -> str:
     return f"{angle} ({share_text(mode.mass)})"
 
 
+def in_reading_order(modes: Sequence[OrientationMode]) -> list[OrientationMode]:
+    """Modes heaviest first, equally heavy ones by angle: rounding must not order them."""
+    return sorted(modes, key=lambda mode: (-round(mode.mass, 6), mode.orientation))
+
+
 def stamp_text(stamp_ns: int) -> str:
     """A stamp as UTC, or as seconds when it does not count from 1970."""
     if stamp_ns < _CALENDAR_FROM_NS:
