@@ -165,6 +165,7 @@ def test_outputs_without_objects_are_read(encoding: Encoding, tmp_path: Path) ->
 def later(block: BeliefBlock, seconds: float, shift: float) -> BeliefBlock:
     made = dict(vars(block))
     made["log_time_ns"] += round(seconds * 1e9)
+    made["stamp_ns"] += round(seconds * 1e9)
     made["log_cell_mass"] = block.log_cell_mass - shift
     return BeliefBlock(**made)
 
@@ -174,11 +175,12 @@ def test_the_latest_belief_counts(encoding: Encoding, tmp_path: Path) -> None:
     with LogWriter(tmp_path / "out.mcap") as writer:
         channels = OutputChannels(writer, encoding, "odom", model())
         channels.write_header(0)
-        for seconds in (0.0, 40.0, 500.0):
-            for block in belief():
+        # Block by block, each at all times, as an estimate makes them.
+        for block in belief():
+            for seconds in (0.0, 40.0, 500.0):
                 channels.write_belief(later(block, seconds, seconds))
-            if seconds < 100:
-                channels.write_belief(later(belief("o1", 1)[0], seconds, seconds))
+        for seconds in (0.0, 40.0):
+            channels.write_belief(later(belief("o1", 1)[0], seconds, seconds))
         # Written again without a new measurement, as at the end of a log.
         channels.write_belief(later(belief("o1", 1)[0], 40.0, 40.0))
         step = estimate(stamp_ns=STAMP_NS + 2_000_000_000_000)

@@ -277,18 +277,20 @@ class OutputLog:
         channel = self._channels["belief"]
         for start_ns in self._starts():
             blocks: dict[int, BeliefBlock] = {}
-            version = None
+            latest: tuple[int, int, int] | None = None
             for _, payload in self._payloads(channel, start_ns):
                 value = self._decode(channel, payload)
                 if value["object_id"] != object_id:
                     continue
                 block = self._checked(belief_from, value)
-                current = block.log_time_ns, block.stamp_ns, block.blocks
-                if current != version:
-                    blocks, version = {}, current
-                blocks[block.block] = pick(block)
-            if version is not None:
-                self._require_all(blocks.keys(), version[-1], "the belief")
+                # Blocks of several times can be interleaved.
+                version = block.stamp_ns, block.log_time_ns, block.blocks
+                if latest is None or version > latest:
+                    blocks, latest = {}, version
+                if version == latest:
+                    blocks[block.block] = pick(block)
+            if latest is not None:
+                self._require_all(blocks.keys(), latest[-1], "the belief")
                 return tuple(blocks[number] for number in sorted(blocks))
         what = f"object {object_id[:80]!r}" if object_id else "the grid"
         raise LogError(f"the output holds no belief of {what}", path=self._path)
