@@ -157,7 +157,8 @@ def objects_figure(
         frame: World frame.
         track: Where the sensor or robot went.
     """
-    limits = _limits(None, objects, track, None)
+    # Room at the sides for texts that are longer than arrows.
+    limits = _limits(None, objects, track, None, narrowest=0.75)
     width, height = limits[1] - limits[0], limits[3] - limits[2]
     side = min(7.0, 7.0 * width / height)
     figure = Figure(figsize=(side + 0.6, side * height / width + 1.4), layout="constrained")
@@ -328,8 +329,12 @@ def _limits(
     objects: Sequence[ObjectEstimate],
     track: PoseTrack | None,
     rays: FloatArray | None,
+    narrowest: float = 0.25,
 ) -> Limits:
-    """Ranges of x and y [m] that hold everything drawn, with a margin; at least a metre wide."""
+    """Ranges of x and y [m] that hold everything drawn, with a margin; at least a metre wide.
+
+    The shorter side is ``narrowest`` of the longer one or more.
+    """
     two_sigma = np.array([[2.0], [-2.0]])
     points = [estimate.position + two_sigma * estimate.position_std for estimate in objects]
     if track is not None:
@@ -347,8 +352,7 @@ def _limits(
     everything = np.concatenate(points) if points else np.zeros((1, 2))
     low, high = everything.min(axis=0), everything.max(axis=0)
     middle, half_size = (low + high) / 2.0, np.maximum((high - low) / 2.0, 0.5)
-    # A long corridor still gets a panel that can be read.
-    half_size = np.maximum(half_size, half_size.max() / 4.0)
+    half_size = np.maximum(half_size, narrowest * half_size.max())
     half_size += (3.0 * _ARROW if objects else _ARROW) * half_size.max()
     (x_0, y_0), (x_1, y_1) = middle - half_size, middle + half_size
     return float(x_0), float(x_1), float(y_0), float(y_1)

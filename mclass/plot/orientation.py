@@ -10,6 +10,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
+from matplotlib.ticker import MaxNLocator
 
 from mclass.outputs.colors import class_color
 from mclass.plot.style import (
@@ -184,6 +185,7 @@ def _rose(axes: Axes, report: CellReport, shown: Sequence[int]) -> None:
         angles = np.linspace(0.0, 2.0 * np.pi, len(density) + 1)
         axes.plot(angles, np.append(density, density[0]), **class_line(index), linewidth=1.6)
     axes.set_ylim(bottom=0.0)
+    axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.set_title("p(orientation | class) [1/rad]")
     axes.set_rlabel_position(_emptiest_direction(report, shown))
 
