@@ -64,6 +64,7 @@ class ChunkEntry:
         index_length: Bytes of the message indexes that follow it.
         index_offsets: Where in the file each channel's message index is.
         counts: Messages of each channel; None while unknown.
+        lost: Whether it turned out that the content cannot be used.
     """
 
     kind: Kind
@@ -77,6 +78,7 @@ class ChunkEntry:
     index_length: int = 0
     index_offsets: dict[int, int] = field(default_factory=dict)
     counts: dict[int, int] | None = None
+    lost: bool = False
 
     @property
     def messages(self) -> int | None:
@@ -130,23 +132,22 @@ def read_chunk(source: Source, entry: ChunkEntry) -> ChunkContent:
         IndexLiesError: If the entry came from a chunk index and another thing is there.
     """
     if entry.length > MAX_RECORD or entry.uncompressed_size > MAX_RECORD:
-        raise ChunkLostError("it claims more than 2 GiB, which no chunk needs")
+        raise ChunkLostError("it claims more than 1 GiB, which no chunk needs")
     try:
-        record = source.read(entry.offset, entry.length + entry.index_length)
+        return _read_chunk(source, entry)
     except LogError as error:
         raise ChunkLostError(f"the disk fails ({error})") from error
-    try:
-        if entry.kind is Kind.LOOSE:
-            return _by_walking(record)
-        head = _checked_head(record, entry)
-        stop = head.data_offset + head.compressed_size
-        data = decompress(
-            head.compression,
-            memoryview(record)[head.data_offset : stop],
-            head.uncompressed_size,
-        )
     except MemoryError:
         raise ChunkLostError("it needs more memory than there is") from None
+
+
+def _read_chunk(source: Source, entry: ChunkEntry) -> ChunkContent:
+    record = source.read(entry.offset, entry.length + entry.index_length)
+    if entry.kind is Kind.LOOSE:
+        return _by_walking(record)
+    head = _checked_head(record, entry)
+    packed = memoryview(record)[head.data_offset : head.data_offset + head.compressed_size]
+    data = decompress(head.compression, packed, head.uncompressed_size)
     if entry.kind is Kind.CUT:
         return _by_walking(data)
     if len(data) != head.uncompressed_size:

@@ -93,13 +93,13 @@ def _sentence(reason: str, loss: _Loss) -> str:
     parts = []
     if loss.chunks:
         parts.append(_count(loss.chunks, "chunk"))
-    if loss.messages or not loss.uncounted:
+    if loss.messages:
         at_least = "at least " if loss.uncounted else ""
         parts.append(at_least + _count(loss.messages, "message"))
     if loss.bytes:
         parts.append(_count(loss.bytes, "byte"))
     if not parts:
-        parts.append("an unknown number of messages")
+        parts.append("an unknown number of messages" if loss.uncounted else "no message")
     first = min(loss.offsets)
     where = f"at byte {first}" if len(loss.offsets) == 1 else f"from byte {first} on"
     return f"lost {', '.join(parts)} {where}: {reason}"

@@ -68,18 +68,20 @@ def _trusting(source: Source, damage: Damage, summary: Summary) -> LogIndex:
 
 def use_content(entry: ChunkEntry, content: ChunkContent, damage: Damage) -> None:
     """Learn from a chunk that was read what its index did not tell."""
-    if entry.counts is None:
-        entry.counts = content.counts()
+    counts = content.counts()
+    if entry.index_offsets and not (content.indexed and counts == entry.counts):
+        damage.remark(f"the message indexes of the chunk at byte {entry.offset} are wrong")
+    entry.counts = counts
     if entry.kind is Kind.CUT and len(content.heads):
         times = content.heads["log_time"]
         entry.start_time, entry.end_time = int(times.min()), int(times.max())
     elif content.unusable and entry.kind is not Kind.CUT:
-        reason = "records in this chunk are broken"
-        damage.lose(reason, entry.offset, chunks=1, n_bytes=content.unusable)
+        damage.lose("records in this chunk are broken", entry.offset, chunks=1)
 
 
 def lose_chunk(entry: ChunkEntry, error: ChunkLostError, damage: Damage) -> None:
     """Count a whole chunk as lost."""
+    entry.lost = True
     n_bytes, messages = entry.length, entry.messages
     damage.lose(str(error), entry.offset, chunks=1, n_bytes=n_bytes, messages=messages)
 
@@ -112,7 +114,7 @@ def _count_undefined(index: LogIndex, damage: Damage) -> None:
     for entry in index.chunks:
         counts = entry.counts or {}
         undefined = sum(count for key, count in counts.items() if key not in index.channels)
-        if undefined:
+        if undefined and not entry.lost:
             reason = "nothing in the file defines the channel of these messages"
             damage.lose(reason, entry.offset, messages=undefined)
 

@@ -324,9 +324,10 @@ class LogReader:
     def verify(self, progress: Callable[[int, int], None] | None = None) -> tuple[str, ...]:
         """Read and check everything; returns what is wrong, in sentences.
 
-        Every record is visited whatever the summary says; checksums of all chunks,
-        attachments and the data section are computed, message indexes, times and statistics
-        compared with the messages. What cannot be used is also counted in ``damage``.
+        Checksums of all chunks, attachments and the data section are computed; message
+        indexes and times are compared with the messages. (That the records fill the data
+        section and fit the statistics was checked when the log was opened.) What cannot be
+        used is also counted in ``damage``.
 
         Args:
             progress: Called with bytes done and bytes in all.
@@ -334,11 +335,12 @@ class LogReader:
         Raises:
             LogError: If the disk fails.
         """
-        self._rebuild()
         problems: list[str] = []
         for entry, content in self._contents(lambda entry: True):
-            if content is not None:
-                problems += _chunk_problems(entry, content)
+            if content is not None and not _keeps_times(entry, content):
+                problems.append(
+                    f"the chunk at byte {entry.offset} holds messages outside of its times"
+                )
             if progress is not None:
                 progress(entry.offset, self.size)
         for attachment in self.index.attachments:
@@ -392,6 +394,8 @@ class LogReader:
                 return
 
     def _content(self, entry: ChunkEntry) -> ChunkContent | None:
+        if entry.lost:
+            return None
         try:
             content = read_chunk(self.source, entry)
         except ChunkLostError as error:
@@ -452,12 +456,9 @@ def _runs(within: BoolArray) -> Iterator[tuple[int, int]]:
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
-def _chunk_problems(entry: ChunkEntry, content: ChunkContent) -> list[str]:
-    where = f"chunk at byte {entry.offset}"
-    problems = []
-    if entry.index_offsets and (not content.indexed or entry.counts != content.counts()):
-        problems.append(f"{where}: its message indexes do not fit its messages")
+def _keeps_times(entry: ChunkEntry, content: ChunkContent) -> bool:
+    """Whether the messages of a chunk lie within the times that it states."""
     times = content.heads["log_time"]
-    if len(times) and (times.min() < entry.start_time or times.max() > entry.end_time):
-        problems.append(f"{where}: messages lie outside of the times that it states")
-    return problems
+    return not len(times) or bool(
+        times.min() >= entry.start_time and times.max() <= entry.end_time
+    )

@@ -18,12 +18,14 @@ from mclass.logs.wire import (
 
 PEEK = RECORD_HEAD + CHUNK_HEAD + 32
 """Enough bytes to judge a record by."""
+PRIVATE_OPCODES = 0x80
+"""From here on kinds of records belong to applications."""
 
 _SEARCH_BLOCK = 1 << 20
 _CANDIDATE = re.compile(rb"[\x03-\x0d\x0f][\x00-\xff]{5}\x00{3}")
+_ZEROS = bytes(_SEARCH_BLOCK + RECORD_HEAD)
 _CHAIN = 3
 _MAX_TRIES = 200_000
-_PRIVATE_OPCODES = 0x80
 
 
 class RecordFinder:
@@ -45,6 +47,9 @@ class RecordFinder:
         """
         for base in range(position + 1, self._end, _SEARCH_BLOCK):
             block = self._source.read(base, _SEARCH_BLOCK + RECORD_HEAD - 1)
+            # Files often end in zeros for gigabytes; comparing is much faster than searching.
+            if block == _ZEROS[: len(block)]:
+                continue
             at = 0
             while match := _CANDIDATE.search(block, at):
                 if self._tries == 0:
@@ -85,7 +90,7 @@ def _possible(opcode: int, length: int, start: bytes) -> bool:
         return length >= MESSAGE_HEAD - RECORD_HEAD
     if opcode == Opcode.MESSAGE_INDEX:
         entries = int.from_bytes(start[RECORD_HEAD + 2 : RECORD_HEAD + 6], "little")
-        return length >= 6 + entries and entries % 16 == 0
+        return length == 6 + entries and entries % 16 == 0
     if opcode == Opcode.CHUNK:
         try:
             parse_chunk_head(start)
@@ -94,4 +99,6 @@ def _possible(opcode: int, length: int, start: bytes) -> bool:
         return True
     if opcode == Opcode.DATA_END:
         return length >= 4
-    return Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE_OPCODES
+    if opcode == Opcode.FOOTER:
+        return length >= 20
+    return Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= PRIVATE_OPCODES

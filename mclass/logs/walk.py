@@ -11,7 +11,7 @@ from mcap.records import AttachmentIndex, MetadataIndex, Statistics
 
 from mclass.logs.chunks import ChunkContent, ChunkEntry, Kind
 from mclass.logs.damage import Damage
-from mclass.logs.scan import PEEK, RecordFinder
+from mclass.logs.scan import PEEK, PRIVATE_OPCODES, RecordFinder
 from mclass.logs.source import MAGIC, Source
 from mclass.logs.summary import Summary
 from mclass.logs.wire import (
@@ -34,7 +34,6 @@ _MAX_DEFINITION = 1 << 26
 _LATEST = (1 << 64) - 1
 _SUMMARY_OPCODES = frozenset(
     {
-        Opcode.FOOTER,
         Opcode.CHUNK_INDEX,
         Opcode.ATTACHMENT_INDEX,
         Opcode.STATISTICS,
@@ -134,6 +133,7 @@ class Walk:
         self._end = source.size if summary is None else summary.start
         self._finder = RecordFinder(source, self._end)
         self._run: ChunkEntry | None = None
+        self._strays: dict[int, int] = {}
         self._index = LogIndex(summarised=summary is not None)
         if summary is not None:
             self._index.add_definitions(summary)
@@ -182,10 +182,15 @@ class Walk:
         if opcode == Opcode.DATA_END:
             crc = self._source.peek(position + RECORD_HEAD, 4)
             self._index.data_crc = int.from_bytes(crc, "little")
+            self._lose_strays()
+            return None
+        if opcode == Opcode.FOOTER:
+            self._damage.remark("the data section has no end mark")
+            self._index.data_end = min(self._strays, default=position)
             return None
         if opcode in _SUMMARY_OPCODES:
-            self._damage.remark("the data section has no end mark")
-            return None
+            self._strays[position] = following
+            return following
         if opcode == Opcode.CHUNK:
             return self._chunk(position, following)
         try:
@@ -209,6 +214,12 @@ class Walk:
             index.has_header = True
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             index.define_record(self._source.peek(position, length))
+        elif opcode == Opcode.MESSAGE_INDEX:
+            messages = int.from_bytes(self._source.peek(position + RECORD_HEAD + 2, 4), "little")
+            reason = "only the message index of a chunk is left"
+            self._damage.lose(reason, position, messages=messages // 16)
+        elif opcode >= PRIVATE_OPCODES:
+            self._damage.remark(f"records of an unknown kind ({opcode:#04x}) were passed over")
         elif opcode == Opcode.METADATA:
             name, _ = parse_metadata(self._source.peek(position, length))
             index.metadata.append(MetadataIndex(position, length, name))
@@ -218,21 +229,21 @@ class Walk:
         entry = self._chunk_entry(Kind.CHUNK, position, following)
         counts: dict[int, int] = {}
         offsets: dict[int, int] = {}
+        n_indexes = 0
         end = following
         while (span := self._finder.span(end)) and span[0] == Opcode.MESSAGE_INDEX:
             channel, size = struct.unpack("<HI", self._source.peek(end + RECORD_HEAD, 6))
-            counts[channel] = counts.get(channel, 0) + size // 16
-            offsets[channel] = end
+            counts[channel], offsets[channel] = size // 16, end
+            n_indexes += 1
             end = span[1]
         if not entry.uncompressed_size:
             entry.counts = {}
-        elif offsets and (span or end == self._end):
+        # Indexes that are missing, cut off (maybe between two), broken or double do not tell
+        # all: the chunk itself must be asked, and they are left out of a copy.
+        elif offsets and span and len(offsets) == n_indexes:
             entry.counts, entry.index_offsets, entry.index_length = counts, offsets, end - following
-        else:
-            # The indexes are missing, cut off or broken: the chunk itself must be asked.
-            end = following
         self._index.chunks.append(entry)
-        self._keep(position, end)
+        self._keep(position, following + entry.index_length)
         return end
 
     def _chunk_entry(self, kind: Kind, position: int, following: int) -> ChunkEntry:
@@ -253,7 +264,7 @@ class Walk:
         if length > MAX_RECORD:
             self._close_run()
             self._keep(position, following)
-            reason = "a message claims more than 2 GiB"
+            reason = "a message claims more than 1 GiB"
             self._damage.lose(reason, position, n_bytes=length, messages=1)
             return
         if self._run is not None and self._run.length + length > _RUN_BYTES:
@@ -316,7 +327,13 @@ class Walk:
         if self._summary is not None:
             self._damage.remark("the data section has no end mark")
             return
+        self._lose_strays()
         self._damage.lose("the file ends here without an end mark", self._index.data_end)
+
+    def _lose_strays(self) -> None:
+        for start, end in self._strays.items():
+            reason = "a record of the summary stands among the data"
+            self._damage.lose(reason, start, n_bytes=end - start)
 
 
 def read_attachment_head(source: Source, position: int) -> tuple[AttachmentIndex, int]:

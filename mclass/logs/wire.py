@@ -8,6 +8,7 @@ so that they are written again exactly as they came.
 from __future__ import annotations
 
 import struct
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -24,7 +25,7 @@ MESSAGE_HEAD = 31
 """Bytes of a message record before its payload."""
 CHUNK_HEAD = 40
 """Bytes of a chunk's content without the compression's name and the data."""
-MAX_RECORD = 1 << 31
+MAX_RECORD = 1 << 30
 """Larger chunks and records are refused: no real one is, and they would not fit in memory."""
 
 MESSAGE_DTYPE = np.dtype(
@@ -41,7 +42,6 @@ _HEAD_DTYPE = np.dtype([("opcode", "u1"), ("length", "<u8")])
 _INDEX_ENTRY_DTYPE = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 _unpack_head = struct.Struct("<BQ").unpack_from
-_unpack_length = struct.Struct("<Q").unpack_from
 
 MessageHeads = npt.NDArray[np.void]
 """Array of ``MESSAGE_DTYPE``."""
@@ -272,11 +272,13 @@ def parse_statistics(record: bytes) -> Statistics:
 
 def walk(data: bytes) -> tuple[IntArray, int]:
     """Starts of the whole records that follow one another in ``data``, and where they stop."""
-    starts = []
+    starts = array("q")
     position, last = 0, len(data) - RECORD_HEAD
     while position <= last:
-        following = position + RECORD_HEAD + _unpack_length(data, position + 1)[0]
-        if following > len(data):
+        opcode, length = _unpack_head(data, position)
+        following = position + RECORD_HEAD + length
+        # No record has the opcode 0; without this test zeros would be records without end.
+        if following > len(data) or not opcode:
             break
         starts.append(position)
         position = following
