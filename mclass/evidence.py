@@ -168,7 +168,7 @@ class Engine:
             return np.zeros(shape)
         table = self._table(term, float(pairs.ranges.max()))
         weights = table.weights(pairs.starts, pairs.ranges, pairs.directions, pairs.scale)
-        return _product(weights, table.values).reshape(shape)
+        return _product(weights, table).reshape(shape)
 
     def _table(self, term: Term, farthest: float) -> LikelihoodTable:
         """A table that reaches the maximal range, doubled as often as a pair lies beyond."""
@@ -188,19 +188,19 @@ def _row_weights(pairs: Pairs) -> FloatArray:
     return np.asarray(sums[pairs.starts[1:]] - sums[pairs.starts[:-1]])
 
 
-def _product(weights: csr_array, values: FloatArray) -> FloatArray:
-    """``weights @ values``, dense over the columns in use where that is faster."""
+def _product(weights: csr_array, table: LikelihoodTable) -> FloatArray:
+    """S @ D over the nodes in use, dense where that is faster."""
     used = np.flatnonzero(np.bincount(weights.indices, minlength=weights.shape[1]))
-    if weights.nnz < _DENSE_SHARE * weights.shape[0] * len(used):
-        return np.asarray(weights @ values)
     position = np.zeros(weights.shape[1], dtype=np.int32)
     position[used] = np.arange(len(used), dtype=np.int32)
+    values = table.rows(used)
     compact = csr_array(
         (weights.data, position[weights.indices], weights.indptr),
         shape=(weights.shape[0], len(used)),
     )
+    if weights.nnz < _DENSE_SHARE * weights.shape[0] * len(used):
+        return np.asarray(compact @ values)
     result = np.empty((weights.shape[0], values.shape[1]))
-    values = values[used]
     step = max(1, _DENSE_BYTES // (8 * len(used)))
     for start in range(0, len(result), step):
         rows = slice(start, start + step)

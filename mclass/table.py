@@ -6,11 +6,14 @@ interpolation weights times that table:
 
     log_belief[cells, classes * bins] += S @ D
 
-D (`LikelihoodTable.values`) has a row for every node of a lattice over range and direction;
+D (`LikelihoodTable.rows`) has a row for every node of a lattice over range and direction;
 S (`LikelihoodTable.weights`) has for every measurement the 36 weights of a biquintic
 B-spline. The table's coefficients are prefiltered, so the spline passes through the exact
 values, and the lattice is refined until it does so between its nodes as well. The high order
-keeps D small enough for the cache: a cubic of the same accuracy needs ten times as many nodes.
+keeps the lattice coarse: a cubic of the same accuracy needs ten times as many nodes.
+
+Rows of neighbouring directions are one curve over the aspect, shifted, so only the curves are
+kept; a row is a window of one.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import correlate1d, spline_filter1d
 from scipy.sparse import csr_array
 
@@ -34,7 +38,7 @@ _PADDING = 20
 _REACH = 3
 """Nodes that a spline needs on either side."""
 
-_MAX_BYTES = 192 * 2**20
+_MAX_BYTES = 2**25
 
 
 @dataclass(frozen=True)
@@ -42,19 +46,38 @@ class LikelihoodTable:
     """D for one term.
 
     Attributes:
-        range_start: Range of the first node [m].
-        range_step: Distance between nodes [m].
-        n_ranges: Number of range nodes.
-        n_directions: Number of direction nodes around the circle, a multiple of the bins.
-        values: Spline coefficients, row (range node, direction node), column (class of the
-            term, orientation bin), (n_ranges * n_directions, k * bins).
+        range_step: Distance between range nodes [m]; the node before the first is at range
+            ``-_REACH`` steps.
+        curves: Spline coefficients over the aspect, against the sense of the circle and twice
+            around, (range nodes, direction nodes a bin, classes of the term, 2 bins).
     """
 
-    range_start: float
     range_step: float
-    n_ranges: int
-    n_directions: int
-    values: FloatArray
+    curves: FloatArray
+
+    @property
+    def bins(self) -> int:
+        """Orientation bins."""
+        return int(self.curves.shape[3]) // 2
+
+    @property
+    def n_directions(self) -> int:
+        """Direction nodes around the circle, a multiple of the bins."""
+        return int(self.curves.shape[1]) * self.bins
+
+    @property
+    def n_nodes(self) -> int:
+        """Nodes of the lattice: rows of D, columns of S."""
+        return int(self.curves.shape[0]) * self.n_directions
+
+    def rows(self, nodes: IntArray) -> FloatArray:
+        """Rows of D: for each node every class and orientation bin, (len(nodes), k * bins)."""
+        range_node, direction = np.divmod(nodes, self.n_directions)
+        # Direction node q m + p belongs to curve p, read from q bins back.
+        turn, phase = np.divmod(direction, self.curves.shape[1])
+        windows = sliding_window_view(self.curves, self.bins, axis=3)
+        chosen = windows[range_node, phase, :, (self.bins - turn) % self.bins]
+        return chosen.reshape(len(nodes), -1)
 
     def weights(
         self, starts: IntArray, ranges: FloatArray, directions: FloatArray, scale: FloatArray | None
@@ -68,9 +91,9 @@ class LikelihoodTable:
             scale: Weight of each measurement, (p,), or None for one each.
 
         Returns:
-            Sparse (rows, n_ranges * n_directions).
+            Sparse (rows, nodes).
         """
-        row, row_weights = _quintic_weights((ranges - self.range_start) / self.range_step)
+        row, row_weights = _quintic_weights(ranges / self.range_step + _REACH)
         column, column_weights = _quintic_weights(directions * (self.n_directions / (2.0 * np.pi)))
         if scale is not None:
             row_weights = row_weights * scale
@@ -81,7 +104,7 @@ class LikelihoodTable:
         indices = (rows[:, None] + columns[None, :]).reshape(36, -1).T
         return csr_array(
             (data.ravel(), indices.ravel(), 36 * starts),
-            shape=(len(starts) - 1, len(self.values)),
+            shape=(len(starts) - 1, self.n_nodes),
         )
 
 
@@ -127,22 +150,14 @@ def build_table(term: Term, bins: int, min_range: float, max_range: float) -> Li
         finer_step = range_step / _refinement(range_error)
         finer_count = bins * int(np.ceil(n_directions / bins * _refinement(direction_error)))
         nodes = (max_range / finer_step + 2 * _REACH) * finer_count
-        if nodes * len(term.classes) * bins * 8 > _MAX_BYTES:
+        if nodes * len(term.classes) * 16 > _MAX_BYTES:
             break
         range_step, n_directions = finer_step, finer_count
-    stride = n_directions // bins
     kept = coefficients[:, _PADDING - _REACH : len(ranges) - _PADDING + _REACH]
-    shifted = np.remainder(
-        np.arange(n_directions)[:, None] - stride * np.arange(bins)[None, :], n_directions
-    )
-    values = kept[:, :, shifted].transpose(1, 2, 0, 3)
-    return LikelihoodTable(
-        range_start=float(ranges[_PADDING - _REACH]),
-        range_step=range_step,
-        n_ranges=kept.shape[1],
-        n_directions=n_directions,
-        values=np.ascontiguousarray(values).reshape(kept.shape[1] * n_directions, -1),
-    )
+    # (k, ranges, turn, phase) to (ranges, phase, k, turn), then around against the circle.
+    turns = kept.reshape(*kept.shape[:2], bins, -1).transpose(1, 3, 0, 2)
+    backwards = turns[..., -np.arange(2 * bins) % bins]
+    return LikelihoodTable(range_step, np.ascontiguousarray(backwards))
 
 
 def _refinement(error: float) -> float:

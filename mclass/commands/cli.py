@@ -40,6 +40,8 @@ class MclassGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; every error ends as one message and its exit code."""
+        # Small matrix products are slower on several threads; set before numpy is loaded.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         try:
             return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
