@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mclass.errors import LogError
+from mclass.logs.families import BoxFormat
 from mclass.logs.fields import BoxFields, DetectionFields
 from mclass.logs.tables import Table, level_of
 from mclass.records import BoolArray, FloatArray, IntArray
@@ -102,6 +103,13 @@ def read_detections(table: Table, fields: DetectionFields) -> Detections:
         LogError: If lists that should run in parallel do not.
     """
     element = fields.element
+    if fields.label is None:
+        return no_detections(
+            np.full(len(table), table.channel.topic, dtype=object),
+            read_stamps(table, fields.stamps),
+            table.log_times_ns,
+            _frame_names(table, fields.frames),
+        )
     count = table.count(element)
     has_box, boxes = _boxes(table, fields.box, element, count)
     has_volume, volumes = _volumes(table, fields.volume, element, count)
@@ -135,6 +143,30 @@ def read_detections(table: Table, fields: DetectionFields) -> Detections:
         label_detection=label_detection,
         labels=as_names(labels),
         scores=scores,
+    )
+
+
+def no_detections(
+    topics: TextArray, stamps_ns: IntArray, log_times_ns: IntArray, frame_names: TextArray
+) -> Detections:
+    """Looks that returned nothing; arguments as the attributes of `Detections`."""
+    nothing = np.zeros(0, np.int64)
+    texts = np.zeros(0, dtype=object)
+    return Detections(
+        topics=topics,
+        stamps_ns=stamps_ns,
+        log_times_ns=log_times_ns,
+        frame_names=frame_names,
+        look_index=nothing,
+        ids=texts,
+        has_box=np.zeros(0, bool),
+        boxes=np.zeros((0, 4)),
+        bearings=np.zeros((0, 2)),
+        has_volume=np.zeros(0, bool),
+        volumes=np.zeros((0, 10)),
+        label_detection=nothing,
+        labels=texts,
+        scores=np.zeros(0),
     )
 
 
@@ -224,19 +256,25 @@ def _boxes(
     absent = (given == 0.0).all(axis=1)
     if table.channel.message_encoding == "json" or len(box.paths) == 1:
         absent |= np.isnan(given).all(axis=1)
-    a, b, c, d = given.T
-    if box.format == "corners":
-        edges = np.stack([a, b, c, d], axis=1)
-    elif box.format == "corner":
-        edges = np.stack([a, b, a + c, b + d], axis=1)
-    else:
-        half_x, half_y = 0.5 * c, 0.5 * d
-        if box.angle is not None:
-            turn = np.asarray(table.at_level(box.angle, element), dtype=np.float64)
-            cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-            half_x, half_y = half_x * cosine + half_y * sine, half_x * sine + half_y * cosine
-        edges = np.stack([a - half_x, b - half_y, a + half_x, b + half_y], axis=1)
+    turn = np.zeros(count)
+    if box.angle is not None:
+        turn = np.asarray(table.at_level(box.angle, element), dtype=np.float64)
+    # Infinities become NaN on the way, and NaN is refused later.
+    with np.errstate(invalid="ignore", over="ignore"):
+        edges = _edges(given, turn, box.format)
     return ~absent, np.where(absent[:, None], np.nan, edges)
+
+
+def _edges(given: FloatArray, turn: FloatArray, box_format: BoxFormat) -> FloatArray:
+    """Left, top, right, bottom of boxes in any format, turned [rad] about their centres."""
+    a, b, c, d = given.T
+    if box_format == "corners":
+        return given
+    if box_format == "corner":
+        return np.stack([a, b, a + c, b + d], axis=1)
+    cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    half_x, half_y = 0.5 * (c * cosine + d * sine), 0.5 * (c * sine + d * cosine)
+    return np.stack([a - half_x, b - half_y, a + half_x, b + half_y], axis=1)
 
 
 def _four_numbers(table: Table, path: str, element: str, count: int) -> FloatArray:

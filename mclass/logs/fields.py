@@ -58,10 +58,13 @@ class BoxFields:
 
 @dataclass(frozen=True)
 class DetectionFields:
-    """Paths of one channel's detections; ``element`` is the level of one detection."""
+    """Paths of one channel's detections; ``element`` is the level of one detection.
+
+    ``label`` is None where no message of the channel ever holds a detection.
+    """
 
     element: str
-    label: str
+    label: str | None
     stamps: Alternatives = ()
     frames: Alternatives = ()
     score: str | None = None
@@ -119,6 +122,16 @@ def family_detection_fields(
         box=boxes[0] if boxes else None,
         bearing=bearing,
         volume=volume,
+    )
+
+
+def silent_detection_fields(family: DetectionFamily, paths: Mapping[str, str]) -> DetectionFields:
+    """Stamp and frame alone, of messages that name their own fields and never hold a detection."""
+    return DetectionFields(
+        element="",
+        label=None,
+        stamps=tuple(p for p in family.stamp if p in paths),
+        frames=tuple(p for p in family.frame if p in paths and "[]" not in p),
     )
 
 

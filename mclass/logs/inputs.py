@@ -11,7 +11,12 @@ import numpy as np
 from mclass.errors import LogError
 from mclass.logs import mounting, poses, sources
 from mclass.logs.annotations import read_annotations
-from mclass.logs.detections import Detections, join_detections, read_detections
+from mclass.logs.detections import (
+    Detections,
+    join_detections,
+    no_detections,
+    read_detections,
+)
 from mclass.logs.families import LABEL_NAME_FIELDS
 from mclass.logs.labels import numbered_names
 from mclass.logs.poses import Track
@@ -199,7 +204,10 @@ class InputReader:
                 f"detections on {other.channel.topic} ({other.kind}) are not used; "
                 "name it as log.detections to use it"
             )
-        return join_detections(parts) if parts else _no_detections()
+        none = np.zeros(0, np.int64), np.zeros(0, dtype=object)
+        return (
+            join_detections(parts) if parts else no_detections(none[1], none[0], none[0], none[1])
+        )
 
     def _cameras(self, *, by_log_time: bool) -> tuple[CameraTrack, ...]:
         found = []
@@ -384,24 +392,3 @@ def _topics_and_frames(detections: Detections) -> list[tuple[str, str]]:
 
 def _counts(tally: Tally) -> str:
     return ", ".join(f"{count:,} {reason}" for reason, count in tally.counts.items())
-
-
-def _no_detections() -> Detections:
-    nothing = np.zeros(0, np.int64)
-    texts = np.zeros(0, dtype=object)
-    return Detections(
-        topics=texts,
-        stamps_ns=nothing,
-        log_times_ns=nothing,
-        frame_names=texts,
-        look_index=nothing,
-        ids=texts,
-        has_box=np.zeros(0, bool),
-        boxes=np.zeros((0, 4)),
-        bearings=np.zeros((0, 2)),
-        has_volume=np.zeros(0, bool),
-        volumes=np.zeros((0, 10)),
-        label_detection=nothing,
-        labels=texts,
-        scores=np.zeros(0),
-    )

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from mclass.errors import LogError
 from mclass.logs import families, mounting
@@ -39,6 +40,7 @@ from mclass.logs.fields import (
     guess_detection_fields,
     mapped_detection_fields,
     mapped_pose_fields,
+    silent_detection_fields,
 )
 from mclass.logs.reader import ChannelInfo, LogReader
 from mclass.logs.tables import Decoders
@@ -211,13 +213,14 @@ def _named_detections(
     """The channels of one topic that the model file names for detections."""
     found = []
     for channel in _channels_of(reader, mapping.topic, "detections"):
-        paths = decoders.of(channel).paths
         if mapping.fields:
-            fields = mapped_detection_fields(mapping, paths)
-            source = DetectionSource(channel, "field mapping", MAPPED_RANK, fields, fields.paths)
+            source = _mapped_source(channel, decoders, mapping)
         else:
-            known = _detection_source(channel, paths) or _guessed_source(channel, paths)
+            known = _known_source(channel, decoders) or decoders.full_match(
+                channel, partial(_guessed_source, channel)
+            )
             if known is None:
+                paths = decoders.of(channel).paths
                 raise LogError(
                     "no labels were recognised in its messages. Give log.detections the field "
                     f"paths of label, id and box. Fields present: {', '.join(list(paths)[:30])}.",
@@ -229,18 +232,42 @@ def _named_detections(
     return found
 
 
-def _detection_source(channel: ChannelInfo, paths: Mapping[str, str]) -> DetectionSource | None:
-    """A detection channel by its type."""
+def _mapped_source(
+    channel: ChannelInfo, decoders: Decoders, mapping: FieldMapping
+) -> DetectionSource:
+    """A detection channel whose fields the model file gives."""
+
+    def find(paths: Mapping[str, str]) -> DetectionFields | None:
+        try:
+            return mapped_detection_fields(mapping, paths)
+        except LogError as error:
+            problems.append(error)
+            return None
+
+    problems: list[LogError] = []
+    fields = decoders.full_match(channel, find)
+    if fields is None:
+        raise problems[-1]
+    return DetectionSource(channel, "field mapping", MAPPED_RANK, fields, fields.paths)
+
+
+def _known_source(channel: ChannelInfo, decoders: Decoders) -> DetectionSource | None:
+    """A detection channel by its type.
+
+    Messages that name their own fields may never have held a detection: their silence counts.
+    """
     name = plain_schema_name(channel.schema_name)
-    for family in families.DETECTIONS:
-        if name in family.schemas:
-            fields = family_detection_fields(family, paths)
-            if fields is not None:
-                return DetectionSource(channel, family.name, family.rank, fields, fields.paths)
     if name in families.ANNOTATION_SCHEMAS:
-        wanted = annotation_paths(paths)
+        wanted = decoders.full_match(channel, annotation_paths)
         if wanted is not None:
             return DetectionSource(channel, "ImageAnnotations", ANNOTATIONS_RANK, None, wanted)
+    for family in families.DETECTIONS:
+        if name in family.schemas:
+            fields = decoders.full_match(channel, partial(family_detection_fields, family))
+            if fields is None and channel.message_encoding == "json":
+                fields = silent_detection_fields(family, decoders.paths(channel))
+            if fields is not None:
+                return DetectionSource(channel, family.name, family.rank, fields, fields.paths)
     return None
 
 
@@ -258,8 +285,8 @@ def _choose_detections(
     """The best detection channel of the log, and those that lost."""
     candidates = []
     for channel in by_role.get("detections", ()):
-        paths = decoders.paths(channel)
-        source = _detection_source(channel, paths) or _guessed_source(channel, paths)
+        source = _known_source(channel, decoders)
+        source = source or _guessed_source(channel, decoders.paths(channel))
         if source is None:
             sources.unusable[channel.id] = "its schema has no labels where its type has them"
         else:
@@ -267,7 +294,7 @@ def _choose_detections(
     if all(source.rank > GUESSED_RANK for source in candidates):
         for channel in by_role.get(None, ()):
             if not plain_schema_name(channel.schema_name).startswith(_OTHER_PACKAGES):
-                source = _guessed_source(channel, decoders.paths(channel))
+                source = decoders.first_match(channel, partial(_guessed_source, channel))
                 if source is not None:
                     candidates.append(source)
     candidates.sort(
@@ -284,7 +311,12 @@ def _choose_detections(
         same = [
             s for s in candidates if (s.channel.topic, s.rank) == (best.channel.topic, best.rank)
         ]
-        sources.detections = tuple(same)
+        sources.detections = tuple(
+            decoders.full_match(s.channel, partial(_guessed_source, s.channel)) or s
+            if s.rank == GUESSED_RANK
+            else s
+            for s in same
+        )
         sources.other_detections = tuple(s for s in candidates if s not in same)
 
 

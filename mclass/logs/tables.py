@@ -7,9 +7,9 @@ the message itself: values of one level correspond one to one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,10 @@ from mclass.errors import LogError
 from mclass.logs.decode.base import ChannelDecoder, Column
 from mclass.logs.reader import ChannelInfo, LogReader, MessageBatch
 from mclass.records import FloatArray, IntArray
+
+_Found = TypeVar("_Found")
+
+_LEARNED_AT_ONCE = 50
 
 
 @dataclass(frozen=True)
@@ -118,20 +122,20 @@ class Decoders:
     def __init__(self, reader: LogReader) -> None:
         self._reader = reader
         self._known: dict[int, ChannelDecoder] = {}
+        self._schemaless: set[int] = set()
+        self._unread: dict[int, Iterator[MessageBatch]] = {}
 
     def of(self, channel: ChannelInfo) -> ChannelDecoder:
-        """Decoder of a channel; for JSON one that has seen the channel's first messages.
+        """Decoder of a channel; where messages name their own fields, it has seen the first.
 
         Raises:
             LogError: If the channel's encoding or schema cannot be used.
         """
         if channel.id not in self._known:
-            decoder = ChannelDecoder.for_channel(channel)
-            if channel.message_encoding == "json":
-                for batch in self._reader.batches([channel.id]):
-                    decoder.learn(batch)
-                    break
-            self._known[channel.id] = decoder
+            self._known[channel.id] = ChannelDecoder.for_channel(channel)
+            if not self._known[channel.id].paths:
+                self._schemaless.add(channel.id)
+                self._learn_more(channel)
         return self._known[channel.id]
 
     def paths(self, channel: ChannelInfo) -> Mapping[str, str]:
@@ -141,6 +145,51 @@ class Decoders:
         except LogError:
             return {}
 
+    def first_match(
+        self, channel: ChannelInfo, find: Callable[[Mapping[str, str]], _Found | None]
+    ) -> _Found | None:
+        """What is found in the channel's fields, after as few messages as it takes."""
+        found = find(self.paths(channel))
+        while found is None and channel.id in self._known and self._learn_more(channel):
+            found = find(self.paths(channel))
+        return found
+
+    def full_match(
+        self, channel: ChannelInfo, find: Callable[[Mapping[str, str]], _Found | None]
+    ) -> _Found | None:
+        """What is found in all fields that any message has, optional ones included."""
+        self.of(channel)
+        found = None if channel.id in self._schemaless else find(self.paths(channel))
+        if found is None:
+            while self._learn_more(channel):
+                pass
+            found = find(self.paths(channel))
+        return found
+
+    def _learn_more(self, channel: ChannelInfo) -> bool:
+        """Let the decoder see some more messages; False if there are none that help."""
+        if channel.message_encoding != "json":
+            return False
+        if channel.id not in self._unread:
+            self._unread[channel.id] = self._pieces(channel)
+        piece = next(self._unread[channel.id], None)
+        if piece is not None:
+            self._known[channel.id].learn(piece)
+        return piece is not None
+
+    def _pieces(self, channel: ChannelInfo) -> Iterator[MessageBatch]:
+        """Small batches, as most channels show their fields in their first messages."""
+        for batch in self._reader.batches([channel.id]):
+            for start in range(0, len(batch.offsets), _LEARNED_AT_ONCE):
+                some = slice(start, start + _LEARNED_AT_ONCE)
+                yield replace(
+                    batch,
+                    offsets=batch.offsets[some],
+                    lengths=batch.lengths[some],
+                    log_times_ns=batch.log_times_ns[some],
+                    first_index=batch.first_index + start,
+                )
+
 
 def read_tables(
     reader: LogReader,
@@ -148,8 +197,6 @@ def read_tables(
     wanted: Mapping[int, Iterable[str]],
     start_ns: int | None = None,
     end_ns: int | None = None,
-    *,
-    keep: Callable[[MessageBatch], bool] | None = None,
 ) -> dict[int, Table]:
     """Read several channels in one pass over the file.
 
@@ -158,8 +205,7 @@ def read_tables(
         decoders: Its decoders.
         wanted: Paths to read, by channel id.
         start_ns: First log time, inclusive; None for the beginning.
-        end_ns: Last log time, inclusive; None for the end.
-        keep: Tells which batches to decode; all when None.
+        end_ns: Last log time, exclusive; None for the end.
 
     Returns:
         One table for each wanted channel, empty ones included.
@@ -172,8 +218,6 @@ def read_tables(
     if not channels:
         return {}
     for batch in reader.batches(list(channels), start_ns, end_ns):
-        if keep is not None and not keep(batch):
-            continue
         key = batch.channel.id
         columns = decoders.of(batch.channel).columns(batch, paths[key])
         times[key].append(batch.log_times_ns[columns.rows])
