@@ -124,16 +124,25 @@ def measurements_of(
 
 
 def permuted(measurements: LabelMeasurements, order: Sequence[int]) -> LabelMeasurements:
-    """The same rows in another order; frames stay as they are."""
+    """Some of the rows in another order of time; a frame for each."""
     spans = [
         np.arange(measurements.label_offsets[row], measurements.label_offsets[row + 1])
         for row in order
     ]
     taken = np.concatenate(spans) if spans else np.zeros(0, dtype=np.int64)
     rows = np.array(order, dtype=np.int64)
+    old = measurements.frames
+    seen_from = measurements.frame_index[rows]
+    frames = Frames(
+        stamps_ns=old.stamps_ns[: len(rows)],
+        log_times_ns=old.log_times_ns[: len(rows)],
+        poses_world_sensor=old.poses_world_sensor[seen_from],
+        covariances=None if old.covariances is None else old.covariances[seen_from],
+        view_directions=old.view_directions[seen_from],
+    )
     return LabelMeasurements(
-        frames=measurements.frames,
-        frame_index=measurements.frame_index[rows],
+        frames=frames,
+        frame_index=np.arange(len(rows), dtype=np.int64),
         directions=measurements.directions[rows],
         object_index=measurements.object_index[rows],
         object_ids=measurements.object_ids,

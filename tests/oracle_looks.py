@@ -24,16 +24,20 @@ def peak_density(model: ClassModel, class_index: int) -> float:
         mixture = model.likelihoods[class_index, label].mixture
 
         def loss(view: FloatArray, label: int = label) -> float:
-            heading = math.atan2(-view[1], -view[0]) - view[2]
-            sighting = Sighting((), view[:2], heading)
+            bearing = view[2] if len(view) == 3 else 0.0
+            sighting = Sighting((), view[:2], math.atan2(-view[1], -view[0]) - bearing)
             pair = (class_index, label)
             return -float(log_label_likelihood(model, pair, sighting, np.zeros(2), 0.0))
 
         for m in range(len(mixture.weights)):
-            bearing = mixture.bearing_means[m]
-            start = np.array([*mixture.means[m], bearing if math.isfinite(bearing) else 0.0])
+            turned = np.isfinite(mixture.bearing_variances).any()
+            start = np.array([*mixture.means[m], mixture.bearing_means[m]][: 3 if turned else 2])
+            simplex = start + 0.1 * np.eye(len(start) + 1, len(start), -1)
             found = minimize(
-                loss, start, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12}
+                loss,
+                start,
+                method="Nelder-Mead",
+                options={"xatol": 1e-5, "fatol": 1e-10, "initial_simplex": simplex},
             )
             best = max(best, -float(found.fun), -loss(start))
     return math.exp(best)

@@ -127,6 +127,17 @@ def test_ray_starts_at_min_range() -> None:
     assert held_cells(grid, pointing) == [{2, 3}]
 
 
+@pytest.mark.xfail(reason="such a ray may slip between the cells on either side of it")
+@pytest.mark.parametrize("first_row", [-16, -15, -8, -32])
+def test_ray_along_a_border_of_cells(first_row: int) -> None:
+    grid = Grid((0.0, 0.1 * first_row), 0.1, rows=40, columns=20)
+    held = held_cells(grid, pointing_of([[0.0, 0.0]], [[0.0, 0.0]], 0.25, 0.95))[0]
+    # The cells above and below, as the segment meets the closed squares of both.
+    assert held == {
+        row * 20 + column for row in (-first_row - 1, -first_row) for column in range(2, 10)
+    }
+
+
 def test_no_direction_points_nowhere() -> None:
     grid = Grid((-2.0, -2.0), 0.5, rows=8, columns=8)
     pointing = pointing_of([[0, 0], [0, 0]], [[math.nan, math.nan], [0.0, 1.0]], 0.2, 3.0)
