@@ -14,7 +14,7 @@ from mclass.commands.options import LOG, echo_json, format_option
 @click.argument("model", type=LOG)
 @format_option
 def check(model: Path, output_format: str) -> None:
-    r"""Validate MODEL and report where a confusion exceeds the class's own label.
+    """Validate MODEL and report where a confusion exceeds the class's own label.
 
     Every fault of the file is reported in one run, with its line and column; exit code 2 then.
     The paper's inequality (12) is checked between the grid's ranges: where it is violated the

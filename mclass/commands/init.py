@@ -20,7 +20,7 @@ from mclass.commands.options import LOG, overwrite_option
 )
 @overwrite_option
 def init(log: Path, output: Path | None, overwrite: bool) -> None:
-    r"""Look at LOG and write a commented model file for it.
+    """Look at LOG and write a commented model file for it.
 
     The file names the topics found and has a class for every label seen, with viewpoints that
     are a first guess. Edit them, then `mclass check` the file and `mclass estimate` the log.

@@ -22,7 +22,15 @@ history_option = click.option(
 
 @click.group(short_help="Look into a log, a result, a cell or a model.")
 def inspect() -> None:
-    """Look into a log, into the results in an output, or into a model file."""
+    """Look into a log, into the results in an output, or into a model file.
+
+    \b
+    Examples:
+      mclass inspect log drive.mcap
+      mclass inspect objects drive.mclass.mcap
+      mclass inspect cell drive.mclass.mcap 4.05 -2.5
+      mclass inspect model boxes.yaml
+    """
 
 
 @inspect.command("log", short_help="What is in a log and what of it is used.")
@@ -34,7 +42,7 @@ def inspect() -> None:
 def inspect_log(
     ctx: click.Context, log: Path, model_path: Path | None, verify: bool, output_format: str
 ) -> None:
-    r"""Say what is in LOG, what `estimate` would use of it, and why not the rest.
+    """Say what is in LOG, what `estimate` would use of it, and why not the rest.
 
     Exit code 3 says that the log is damaged.
 
@@ -62,7 +70,7 @@ def inspect_log(
 @format_option
 @plot_option
 def inspect_objects(out: Path, history: bool, output_format: str, plot_path: Path | None) -> None:
-    r"""Print every object in OUT: class probabilities, position, orientation modes.
+    """Print every object in OUT: class probabilities, position, orientation modes.
 
     \b
     Examples:
@@ -115,7 +123,7 @@ def inspect_cell(
     output_format: str,
     plot_path: Path | None,
 ) -> None:
-    r"""Print the belief of the cell of OUT that holds the point X Y [m].
+    """Print the belief of the cell of OUT that holds the point X Y [m].
 
     X and Y are in the world frame; negative numbers are typed as they are. With --history
     the belief after each measurement is computed anew from the measurements in OUT.
@@ -158,7 +166,7 @@ def inspect_cell(
 @format_option
 @plot_option
 def inspect_model(model: Path, output_format: str, plot_path: Path | None) -> None:
-    r"""Print what MODEL says each class returns and from where; draw it with --plot.
+    """Print what MODEL says each class returns and from where; draw it with --plot.
 
     \b
     Examples:
