@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from written_output import (
     STRANGE_ID,
     belief,
     measurements,
+    messages,
     model,
     objects,
     write_everything,
@@ -292,6 +295,51 @@ def test_any_measurements_survive(
     for codec in (ros.codec("mclass_msgs/msg/Measurements"), protobuf.codec("mclass.Measurements")):
         parts = [codec.decode(codec.encode(value)) for value in values.measurement_values(expected)]
         assert_same(values.measurements_from(parts), expected)
+
+
+@pytest.fixture(scope="module")
+def payloads(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Encoding, str, bytes]]:
+    """Every message that is read back, in every encoding."""
+    found: list[tuple[Encoding, str, bytes]] = []
+    for encoding in ENCODINGS:
+        path = tmp_path_factory.mktemp("payloads") / "out.mcap"
+        write_everything(path, encoding)
+        objects_topic = "estimates" if encoding == "ros2" else "objects"
+        for name in (objects_topic, "grid", "belief", "measurements"):
+            data = messages(path, f"/mclass/{name}")[-1][2].data
+            found.append((encoding, f"/mclass/{name}", data))
+    return found
+
+
+@settings(
+    max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.data())
+def test_changed_messages_are_read_or_refused(
+    payloads: list[tuple[Encoding, str, bytes]], tmp_path: Path, data: st.DataObject
+) -> None:
+    encoding, topic, payload = data.draw(st.sampled_from(payloads))
+    changed = bytearray(payload)
+    for _ in range(data.draw(st.integers(1, 4))):
+        place = data.draw(st.integers(0, len(changed) - 1))
+        changed[place] = data.draw(st.integers(0, 255))
+    del changed[data.draw(st.integers(len(changed) // 2, len(changed))) :]
+    with LogWriter(tmp_path / "out.mcap", overwrite=True) as writer:
+        channels = OutputChannels(writer, encoding, "odom", model())
+        channels.write_header(0)
+        writer.write(channels._channels[topic], LOG_TIME_NS, bytes(changed))
+    with OutputLog.open(tmp_path / "out.mcap") as output:
+        reads: list[Callable[[], object]] = [
+            output.objects,
+            output.history,
+            output.maps,
+            output.measurements,
+            lambda: output.belief("o1"),
+            lambda: output.belief_at(0.75, 2.75, "o1"),
+        ]
+        for read in reads:
+            with contextlib.suppress(LogError, UsageError):
+                read()
 
 
 def test_a_log_that_was_not_estimated_says_what_to_do(tmp_path: Path) -> None:

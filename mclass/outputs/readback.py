@@ -12,7 +12,6 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from mclass.errors import LogError, UsageError
-from mclass.footprint import Grid
 from mclass.logs.reader import ChannelInfo, LogReader
 from mclass.messages import proto_json, protobuf
 from mclass.messages.cdr import CdrCodec
@@ -20,7 +19,13 @@ from mclass.messages.definitions import normalise_name, parse_definitions
 from mclass.outputs.channels import METADATA_NAME, MODEL_ATTACHMENT
 from mclass.outputs.encoder import NANOSECONDS
 from mclass.outputs.raster import PackedCells, unpack_cells
-from mclass.outputs.values import BACKGROUND, belief_from, estimate_from, measurements_from
+from mclass.outputs.values import (
+    BACKGROUND,
+    belief_from,
+    checked_grid,
+    estimate_from,
+    measurements_from,
+)
 from mclass.records import LabelMeasurements
 from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
 
@@ -282,7 +287,7 @@ class OutputLog:
                 value = self._decode(channel, payload)
                 if value["object_id"] != object_id:
                     continue
-                block = self._checked(belief_from, value)
+                block = self._checked(belief_from, value, self.class_names)
                 # Blocks of several times can be interleaved.
                 version = block.stamp_ns, block.log_time_ns, block.blocks
                 if latest is None or version > latest:
@@ -342,7 +347,7 @@ def _maps_from(value: Mapping[str, Any], output: OutputLog, log_time_ns: int) ->
     if not columns or not cell_stride or len(data) % (columns * cell_stride):
         raise LogError(f"a grid of {len(data)} bytes cannot have {columns} columns")
     corner = value["pose"]["position"]
-    grid = Grid(
+    grid = checked_grid(
         (corner["x"], corner["y"]),
         value["cell_size"]["x"],
         len(data) // (columns * cell_stride),

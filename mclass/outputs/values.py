@@ -12,13 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mclass.classes import BACKGROUND
 from mclass.errors import LogError, ModelError
 from mclass.footprint import Grid
 from mclass.records import FloatArray, Frames, IntArray, LabelMeasurements
 from mclass.results import BeliefBlock, ObjectEstimate, OrientationMode
-
-BACKGROUND = "background"
-"""Name of c_0 beside the class names."""
 
 ROWS_PER_MESSAGE = 5000
 """Measurements, and frames, in one message."""
@@ -156,14 +154,16 @@ def belief_value(block: BeliefBlock, class_names: Sequence[str]) -> dict[str, An
     }
 
 
-def belief_from(value: Mapping[str, Any]) -> BeliefBlock:
+def belief_from(value: Mapping[str, Any], class_names: Sequence[str]) -> BeliefBlock:
     """The block that `belief_value` described; arrays are views where they can be.
 
     Raises:
-        LogError: If the arrays do not fit each other.
+        LogError: If the arrays do not fit each other, the grid or the classes.
     """
     cells = len(value["cells"])
-    classes = len(value["class_names"])
+    classes = len(class_names) + 1
+    if list(value["class_names"]) != [BACKGROUND, *class_names]:
+        raise LogError("a belief has other classes than the log's model")
     shapes = {
         "log_cell_mass": (cells,),
         "log_class_probability": (cells, classes),
@@ -171,14 +171,13 @@ def belief_from(value: Mapping[str, Any]) -> BeliefBlock:
         "measurements": (cells,),
     }
     arrays = {name: _shaped(value, name, shape) for name, shape in shapes.items()}
+    grid = checked_grid(
+        (value["origin_x"], value["origin_y"]), value["cell_size"], value["rows"], value["columns"]
+    )
+    _check_range(value["cells"], 0, grid.rows * grid.columns - 1, "cells")
     return BeliefBlock(
         object_id=value["object_id"],
-        grid=Grid(
-            (value["origin_x"], value["origin_y"]),
-            value["cell_size"],
-            value["rows"],
-            value["columns"],
-        ),
+        grid=grid,
         stamp_ns=value["stamp_ns"],
         log_time_ns=value["log_time_ns"],
         block=value["block"],
@@ -186,6 +185,17 @@ def belief_from(value: Mapping[str, Any]) -> BeliefBlock:
         cells=value["cells"],
         **arrays,
     )
+
+
+def checked_grid(origin: tuple[float, float], cell_size: float, rows: int, columns: int) -> Grid:
+    """A grid from what a message says.
+
+    Raises:
+        LogError: If there is no such grid.
+    """
+    if not (np.isfinite([*origin, cell_size]).all() and cell_size > 0 and rows > 0 < columns):
+        raise LogError(f"a grid of {rows} x {columns} cells of {cell_size} m at {origin}")
+    return Grid(origin, cell_size, rows, columns)
 
 
 def measurement_values(measurements: LabelMeasurements) -> Iterator[dict[str, Any]]:
