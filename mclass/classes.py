@@ -15,6 +15,9 @@ from mclass.errors import ModelError
 from mclass.records import FloatArray
 from mclass.viewpoints import ViewpointMixture
 
+BACKGROUND = "background"
+"""Name of c_0, "nothing here", beside the class names."""
+
 
 @dataclass(frozen=True)
 class LabelLikelihood:

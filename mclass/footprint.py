@@ -157,9 +157,9 @@ def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
     limits = np.array([across, upward]) - 1
     first = np.floor((low - grid.origin) / size).astype(np.int64)
     last = np.floor((high - grid.origin) / size).astype(np.int64)
-    outside = ((last < 0) | (first > limits)).any(axis=1)
+    outside = np.any((last < 0) | (first > limits), axis=1)
     first, last = np.clip(first, 0, limits), np.clip(last, 0, limits)
-    spans = np.where(outside[:, None], 0, last - first + 1)
+    spans = np.where(outside.reshape(-1, 1), 0, last - first + 1)
     counts = spans[:, 0] * spans[:, 1]
     owner = np.repeat(np.arange(len(usable)), counts)
     within = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -231,10 +231,12 @@ def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
     offset_x = centers[:, None, 0] - pointing.positions[None, :, 0]
     offset_y = centers[:, None, 1] - pointing.positions[None, :, 1]
     ranges = np.hypot(offset_x, offset_y)
-    azimuths = np.arctan2(offset_y, offset_x)
+    directions = np.arctan2(-offset_y, -offset_x)
     widths = pointing.widths
-    with np.errstate(invalid="ignore"):
-        inside = np.remainder(azimuths - pointing.directions[:, 0], 2.0 * np.pi) <= widths
+    # How far to the left of the right edge: both angles are within one turn, so one turn mends it.
+    from_right = directions - wrap_angle(pointing.directions[:, 0] + np.pi)
+    from_right += np.where(from_right < 0.0, 2.0 * np.pi, 0.0)
+    inside = from_right <= widths
     inside &= (ranges >= pointing.min_range) & (ranges <= pointing.max_range)
     is_ray = np.flatnonzero(widths < _NO_WIDTH)
     if len(is_ray):
@@ -242,7 +244,7 @@ def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
         inside[:, is_ray] = _segment_meets_square(
             offset_x[:, is_ray], offset_y[:, is_ray], axes, cell_size / 2.0, pointing
         )
-    return Sight(ranges, wrap_angle(azimuths + np.pi), inside)
+    return Sight(ranges, directions, inside)
 
 
 def _segment_meets_square(

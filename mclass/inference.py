@@ -193,8 +193,6 @@ class GridEstimate:
         stamps = [cut.stamp_ns for cut in self._cuts]
         for tile in grid_beliefs(problem.engine, problem.looks, problem.grid, priors, stamps):
             for index, (cut, belief) in enumerate(zip(self._cuts, tile, strict=True)):
-                if len(belief.cells) == 0:
-                    continue
                 self._cells[index].append(belief.cells)
                 self._classes[index].append(belief.posterior.log_class_probability)
                 yield BeliefBlock(
@@ -218,9 +216,9 @@ class GridEstimate:
             return []
         result = []
         for cut, cells, classes in zip(self._cuts, self._cells, self._classes, strict=True):
-            if not cells:
+            every = np.concatenate(cells) if cells else np.zeros(0, dtype=np.int64)
+            if len(every) == 0:
                 continue
-            every = np.concatenate(cells)
             order = np.argsort(every)
             probabilities = np.exp(np.concatenate(classes)[order])
             result.append(

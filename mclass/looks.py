@@ -45,10 +45,19 @@ class Looks:
 
     def in_view(self, seen: Sight, looks: IntArray) -> BoolArray:
         """Whether frames had cells in view, a margin inside their border, (m, k)."""
-        margin = np.arcsin(np.minimum(self.settings.view_margin / np.maximum(seen.ranges, 1e-9), 1))
         pointing = self.pointing.select(looks)
-        off_axis = np.abs(wrap_angle(seen.directions + np.pi - pointing.axes))
-        return np.asarray(seen.inside & (off_axis <= pointing.widths / 2.0 - margin))
+        cell, look = np.nonzero(seen.inside)
+        ratio = self.settings.view_margin / np.maximum(seen.ranges[cell, look], 1e-9)
+        off_axis = _off_axis(seen.directions[cell, look], pointing.axes[look])
+        clear = off_axis <= pointing.widths[look] / 2.0 - np.arcsin(np.minimum(ratio, 1.0))
+        shown = np.zeros(seen.inside.shape, dtype=bool)
+        shown[cell[clear], look[clear]] = True
+        return shown
+
+
+def _off_axis(directions: FloatArray, axes: FloatArray) -> FloatArray:
+    """Angle between the direction to a cell and an axis, given the direction back [rad]."""
+    return np.abs(wrap_angle(directions + np.pi - axes))
 
 
 def grid_pairs(looks: Looks, centers: FloatArray, cell_size: float, candidates: IntArray) -> Pairs:
@@ -156,7 +165,7 @@ class ObjectLooks:
             cell_size: Edge length [m].
             part: Positions in ``rows``.
         """
-        rows, settings = self.rows[part], self.looks.settings
+        rows = self.rows[part]
         pointing = self.looks.pointing.select(rows)
         seen = sight(centers, cell_size, pointing)
         is_detection = rows < self.looks.n_detections
@@ -165,13 +174,11 @@ class ObjectLooks:
         silent = np.flatnonzero(self.silent[part])
         if len(silent):
             speaks[:, silent] = self._could_show(seen.select_looks(silent), rows[silent])
-        log_factor = np.where(seen.inside | ~located, 0.0, settings.log_outside)
-        if settings.pointing_std > 0.0:
-            off_axis = np.abs(wrap_angle(seen.directions + np.pi - pointing.axes))
-            excess = np.maximum(off_axis - pointing.widths / 2.0, 0.0)
-            in_range = (seen.ranges >= pointing.min_range) & (seen.ranges <= pointing.max_range)
-            soft = np.maximum(-0.5 * (excess / settings.pointing_std) ** 2, settings.log_outside)
-            log_factor = np.where(located & in_range & ~seen.inside, soft, log_factor)
+        log_factor = np.zeros(seen.inside.shape)
+        pointed = np.flatnonzero(located)
+        log_factor[:, pointed] = self._log_factor(
+            seen.select_looks(pointed), pointing.select(pointed)
+        )
         return Concern(seen, speaks, is_detection, located, log_factor)
 
     def pairs(self, centers: FloatArray, cell_size: float) -> Pairs:
@@ -191,6 +198,17 @@ class ObjectLooks:
             scale = [weights[:, column]]
         return joined_pairs([concern.seen], [self.rows], [concern.speaks], scale)
 
+    def _log_factor(self, seen: Sight, pointing: Pointing) -> FloatArray:
+        """What it costs cells that detections point elsewhere, (m, k)."""
+        settings = self.looks.settings
+        log_factor = np.where(seen.inside, 0.0, settings.log_outside)
+        if settings.pointing_std > 0.0:
+            excess = _off_axis(seen.directions, pointing.axes) - pointing.widths / 2.0
+            soft = np.maximum(-0.5 * (excess / settings.pointing_std) ** 2, settings.log_outside)
+            in_range = (seen.ranges >= pointing.min_range) & (seen.ranges <= pointing.max_range)
+            log_factor = np.where(~seen.inside & in_range, soft, log_factor)
+        return log_factor
+
     def _could_show(self, seen: Sight, rows: IntArray) -> BoolArray:
         """Cells in view of frames and not where something else was detected, (m, k)."""
         shown = self.looks.in_view(seen, rows)
@@ -199,8 +217,7 @@ class ObjectLooks:
         if len(rivals):
             rival = self.looks.pointing.select(rivals)
             column = np.searchsorted(frames, self.looks.frames[rivals])
-            azimuths = seen.directions[:, column] + np.pi
-            covered = np.abs(wrap_angle(azimuths - rival.axes)) <= rival.widths / 2.0
+            covered = _off_axis(seen.directions[:, column], rival.axes) <= rival.widths / 2.0
             shown &= ~_any_by_column(np.asarray(covered), column, len(frames))
         return shown
 

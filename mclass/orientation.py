@@ -145,7 +145,8 @@ def find_modes(density: FloatArray) -> tuple[OrientationMode, ...]:
                 std=float(np.sqrt(variance) * step),
             )
         )
-    return tuple(sorted(modes, key=lambda mode: -mode.mass))
+    # Equal masses differ by rounding: the smaller angle goes first.
+    return tuple(sorted(modes, key=lambda mode: (-round(mode.mass, 9), mode.orientation)))
 
 
 def _peaks_and_saddles(density: FloatArray) -> tuple[IntArray, IntArray]:

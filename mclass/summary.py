@@ -126,7 +126,9 @@ def _orientation_marginal(readout: Readout, index: int) -> FloatArray:
 
 def _highest(density: FloatArray, modes: tuple[OrientationMode, ...]) -> float:
     """Orientation [rad] of the mode with the greatest density."""
-    peak = 2.0 * np.pi * int(np.argmax(density)) / len(density)
+    # Equal peaks differ by rounding: the smaller angle is taken.
+    first = int(np.argmax(density >= density.max() * (1.0 - 1e-9)))
+    peak = 2.0 * np.pi * first / len(density)
     angles = np.array([mode.orientation for mode in modes])
     return float(angles[np.argmin(np.abs(wrap_angle(angles - peak)))])
 

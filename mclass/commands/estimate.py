@@ -110,7 +110,11 @@ def estimate(
             report.contents.frame,
             objects=report.objects,
             track=report.contents.track,
-            rays=ray_segments(report.contents.measurements, report.model.grid.max_range),
+            rays=ray_segments(
+                report.contents.measurements,
+                report.model.grid.max_range,
+                report.model.grid.footprint,
+            ),
         )
         save_figure(figure, plot_path)
     if report.damage:

@@ -26,12 +26,22 @@ def format_option(command: Command) -> Command:
     )(command)
 
 
+def _drawable(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    """Refuse a picture that cannot be drawn before any work is done."""
+    if path is not None:
+        from mclass.plot.style import figure_format
+
+        figure_format(path)
+    return path
+
+
 def plot_option(command: Command) -> Command:
     """``--plot FILE``."""
     return click.option(
         "--plot",
         "plot_path",
         type=click.Path(path_type=Path),
+        callback=_drawable,
         metavar="FILE",
         help="Also draw to FILE (.png, .svg or .pdf); needs the extra mclass[plot].",
     )(command)
@@ -73,4 +83,4 @@ def echo_json(document: Any) -> None:
     """Print a JSON document to stdout."""
     import json
 
-    click.echo(json.dumps(document, ensure_ascii=False, allow_nan=False, indent=1))
+    click.echo(json.dumps(document, allow_nan=False, indent=1))

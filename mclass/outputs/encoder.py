@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from mclass.classes import BACKGROUND
 from mclass.outputs.names import TopicTokens
-from mclass.outputs.values import BACKGROUND
 from mclass.records import LabelMeasurements
 from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
 

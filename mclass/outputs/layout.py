@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
+from mclass.classes import BACKGROUND
 from mclass.footprint import Grid
 from mclass.outputs.colors import CLASS_COLORS
-from mclass.outputs.values import BACKGROUND
 
 Json: TypeAlias = dict[str, Any]
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from mclass.classes import BACKGROUND
 from mclass.errors import LogError, UsageError
 from mclass.logs.reader import ChannelInfo, LogReader
 from mclass.messages import proto_json, protobuf
@@ -20,7 +21,6 @@ from mclass.outputs.channels import METADATA_NAME, MODEL_ATTACHMENT
 from mclass.outputs.encoder import NANOSECONDS
 from mclass.outputs.raster import PackedCells, unpack_cells
 from mclass.outputs.values import (
-    BACKGROUND,
     belief_from,
     checked_grid,
     estimate_from,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from mclass.classes import BACKGROUND
 from mclass.outputs.colors import class_color
 from mclass.outputs.names import display_text
-from mclass.outputs.values import BACKGROUND
 from mclass.results import ObjectEstimate
 
 _CELLS_PER_ARROW = 4.0

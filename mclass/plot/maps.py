@@ -18,6 +18,7 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
+from mclass.classes import BACKGROUND
 from mclass.outputs.colors import class_color
 from mclass.plot.style import (
     BACKGROUND_COLOR,
@@ -32,7 +33,6 @@ from mclass.plot.style import (
 )
 from mclass.records import FloatArray, LabelMeasurements, PoseTrack
 from mclass.results import ClassMaps, ObjectEstimate
-from mclass.text.documents import BACKGROUND
 from mclass.text.values import probability_text
 
 _UNTOUCHED_COLOR = "#f8dcb0"

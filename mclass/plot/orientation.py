@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
+from mclass.classes import BACKGROUND
 from mclass.outputs.colors import class_color
 from mclass.plot.style import (
     BACKGROUND_COLOR,
@@ -23,7 +24,6 @@ from mclass.plot.style import (
 )
 from mclass.records import FloatArray
 from mclass.results import CellReport
-from mclass.text.documents import BACKGROUND
 from mclass.text.values import count_text, degrees_text, probability_text
 
 _MOST_PANELS = 8

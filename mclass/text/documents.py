@@ -11,13 +11,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+from mclass.classes import BACKGROUND
 from mclass.results import CellReport, ObjectEstimate, OrientationMode
 from mclass.text.values import degrees
 
 JsonObject: TypeAlias = dict[str, Any]
-
-BACKGROUND = "background"
-"""Name of c_0, "nothing here", beside the class names."""
 
 
 def objects_json(

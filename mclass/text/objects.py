@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from mclass.classes import BACKGROUND
 from mclass.records import FloatArray
 from mclass.results import ObjectEstimate, OrientationMode
-from mclass.text.documents import BACKGROUND
 from mclass.text.terminal import Terminal, display_width, table, wrap
 from mclass.text.values import (
     count_text,
