@@ -103,7 +103,8 @@ def read_detections(table: Table, fields: DetectionFields) -> Detections:
         LogError: If lists that should run in parallel do not.
     """
     element = fields.element
-    if fields.label is None:
+    if element and not any(path.startswith(element) for path in table.columns):
+        # Messages that name their own fields, of which none ever held a detection.
         return no_detections(
             np.full(len(table), table.channel.topic, dtype=object),
             read_stamps(table, fields.stamps),
@@ -113,14 +114,7 @@ def read_detections(table: Table, fields: DetectionFields) -> Detections:
     count = table.count(element)
     has_box, boxes = _boxes(table, fields.box, element, count)
     has_volume, volumes = _volumes(table, fields.volume, element, count)
-    label_detection, level = _label_rows(table, fields.label, element, count)
-    labels = table.at_level(fields.label, level)
-    scores = np.ones(len(labels))
-    if fields.score is not None:
-        scores = table.at_level(fields.score, level).astype(np.float64)
-        # A JSON message may leave the score out where it has nothing to say.
-        if table.channel.message_encoding == "json":
-            scores = np.where(np.isnan(scores), 1.0, scores)
+    label_detection, labels, scores = _labels(table, fields, count)
     ids = np.full(count, "", dtype=object)
     if fields.id is not None:
         ids = as_ids(table.at_level(fields.id, element))
@@ -141,7 +135,7 @@ def read_detections(table: Table, fields: DetectionFields) -> Detections:
         has_volume=has_volume,
         volumes=volumes,
         label_detection=label_detection,
-        labels=as_names(labels),
+        labels=labels,
         scores=scores,
     )
 
@@ -233,12 +227,26 @@ def clean_frames(names: npt.NDArray[Any]) -> TextArray:
     return np.array([str(name).lstrip("/") for name in names.tolist()] + [None], object)[:-1]
 
 
-def _label_rows(table: Table, label: str, element: str, count: int) -> tuple[IntArray, str]:
-    """The detection of each label, and the level on which labels then are."""
-    level = level_of(label)
+def _labels(
+    table: Table, fields: DetectionFields, count: int
+) -> tuple[IntArray, TextArray, FloatArray]:
+    """Detection, name and score of every label."""
+    element = fields.element
+    if fields.label is None:
+        return np.zeros(0, np.int64), np.zeros(0, dtype=object), np.zeros(0)
+    level = level_of(fields.label)
     if level != element and level.startswith(element):
-        return table.parents(element, level), level
-    return np.arange(count), element
+        detection = table.parents(element, level)
+    else:
+        detection, level = np.arange(count), element
+    labels = as_names(table.at_level(fields.label, level))
+    scores = np.ones(len(labels))
+    if fields.score is not None:
+        scores = table.at_level(fields.score, level).astype(np.float64)
+        # A JSON message may leave the score out where it has nothing to say.
+        if table.channel.message_encoding == "json":
+            scores = np.where(np.isnan(scores), 1.0, scores)
+    return detection, labels, scores
 
 
 def _boxes(

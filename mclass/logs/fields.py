@@ -60,7 +60,7 @@ class BoxFields:
 class DetectionFields:
     """Paths of one channel's detections; ``element`` is the level of one detection.
 
-    ``label`` is None where no message of the channel ever holds a detection.
+    ``label`` is None where messages name their own fields and none ever holds a label.
     """
 
     element: str
@@ -102,11 +102,14 @@ class PoseFields:
 
 
 def family_detection_fields(
-    family: DetectionFamily, paths: Mapping[str, str]
+    family: DetectionFamily, paths: Mapping[str, str], *, silent: bool = False
 ) -> DetectionFields | None:
-    """A known type's fields in the layout that the schema has; None if it has no labels."""
+    """A known type's fields in the layout that the schema has.
+
+    Without a field for labels there are None, or, if ``silent``, detections that have none.
+    """
     label = families.first_present(family.label, paths)
-    if label is None:
+    if label is None and not silent:
         return None
     angle = families.first_present(family.box_angle, paths)
     boxes = [BoxFields(kind, four, angle) for kind, four in family.boxes if _has(four, paths)]
@@ -122,16 +125,6 @@ def family_detection_fields(
         box=boxes[0] if boxes else None,
         bearing=bearing,
         volume=volume,
-    )
-
-
-def silent_detection_fields(family: DetectionFamily, paths: Mapping[str, str]) -> DetectionFields:
-    """Stamp and frame alone, of messages that name their own fields and never hold a detection."""
-    return DetectionFields(
-        element="",
-        label=None,
-        stamps=tuple(p for p in family.stamp if p in paths),
-        frames=tuple(p for p in family.frame if p in paths and "[]" not in p),
     )
 
 
@@ -299,7 +292,7 @@ def _guess_id(paths: Mapping[str, str], level: str, box: BoxFields | None) -> st
         for path, kind in paths.items()
         if kind in ("string", "int")
         and _leaf_name(path) in _IDS
-        and within.startswith(level_of(path))
+        and (within.startswith(level_of(path)) or _run_beside(level_of(path), within))
         and (not within or level_of(path))
     ]
     found.sort(key=lambda path: (-path.count("[]"), _IDS.index(_leaf_name(path)), path))

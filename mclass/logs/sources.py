@@ -40,7 +40,6 @@ from mclass.logs.fields import (
     guess_detection_fields,
     mapped_detection_fields,
     mapped_pose_fields,
-    silent_detection_fields,
 )
 from mclass.logs.reader import ChannelInfo, LogReader
 from mclass.logs.tables import Decoders
@@ -133,10 +132,10 @@ def find_sources(reader: LogReader, decoders: Decoders, model: Model | None) -> 
         LogError: If the model names a topic or field that the log does not have.
     """
     settings = model.log if model is not None else None
-    sources = Sources()
+    sources, own = Sources(), own_prefix(reader)
     by_role: dict[Role | None, list[ChannelInfo]] = {}
     for channel in reader.channels:
-        if channel.message_count == 0 or is_own_output(channel):
+        if channel.message_count == 0 or channel.topic.startswith(own):
             continue
         role = role_of(channel.schema_name)
         if role is not None:
@@ -175,13 +174,10 @@ def find_sources(reader: LogReader, decoders: Decoders, model: Model | None) -> 
     return sources
 
 
-def is_own_output(channel: ChannelInfo) -> bool:
-    """Whether a channel was written by an earlier run, and so is no observation."""
-    return (
-        channel.topic.startswith("/mclass/")
-        or "mclass" in channel.metadata
-        or channel.schema_name.startswith(("mclass_msgs/msg/Belief", "mclass_msgs/msg/Measure"))
-    )
+def own_prefix(reader: LogReader) -> str:
+    """Beginning of the topics that an earlier run wrote into this log."""
+    recorded = reader.metadata("mclass") if "mclass" in reader.metadata_names else None
+    return (recorded or {}).get("prefix", "/mclass").rstrip("/") + "/"
 
 
 def topics_present(reader: LogReader) -> str:
@@ -265,7 +261,7 @@ def _known_source(channel: ChannelInfo, decoders: Decoders) -> DetectionSource |
         if name in family.schemas:
             fields = decoders.full_match(channel, partial(family_detection_fields, family))
             if fields is None and channel.message_encoding == "json":
-                fields = silent_detection_fields(family, decoders.paths(channel))
+                fields = family_detection_fields(family, decoders.paths(channel), silent=True)
             if fields is not None:
                 return DetectionSource(channel, family.name, family.rank, fields, fields.paths)
     return None

@@ -12,7 +12,7 @@ from mclass.logs.families import role_of
 from mclass.logs.inputs import InputReader, Inputs
 from mclass.logs.labels import translate_labels
 from mclass.logs.reader import ChannelInfo, LogReader
-from mclass.logs.sources import is_own_output
+from mclass.logs.sources import own_prefix
 from mclass.model import Model
 
 
@@ -212,7 +212,7 @@ def _sensors(inputs: Inputs) -> tuple[SensorUse, ...]:
 def _channel_use(reader: LogReader, channel: ChannelInfo, inputs: Inputs | None) -> ChannelUse:
     """Role of a channel, and whether and why it is used."""
     role, used, why = str(role_of(channel.schema_name) or ""), False, "not a type that is read"
-    if is_own_output(channel):
+    if channel.topic.startswith(own_prefix(reader)):
         why = "written by an earlier run"
     elif channel.message_count == 0:
         why = "holds no messages"

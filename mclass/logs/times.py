@@ -17,10 +17,11 @@ _UNITS = {
     "min": 60 * 10**9,
     "h": 3600 * 10**9,
 }
-_OFFSET = re.compile(r"\+(\d{1,18}(?:\.\d{1,18})?)(ns|us|ms|s|m|min|h)")
-_NANOSECONDS = re.compile(r"\d{1,19}")
+_OFFSET = re.compile(r"\+(\d{1,18}(?:\.\d{1,18})?)(ns|us|ms|s|m|min|h)", re.ASCII)
+_NANOSECONDS = re.compile(r"\d{1,19}", re.ASCII)
 _RFC_3339 = re.compile(
-    r"(\d{4}-\d{2}-\d{2})[Tt ](\d{2}:\d{2}:\d{2})(?:\.(\d{1,9}))?([Zz]|[+-]\d{2}:\d{2})"
+    r"(\d{4}-\d{2}-\d{2})[Tt ](\d{2}:\d{2}:\d{2})(?:\.(\d{1,9}))?([Zz]|[+-]\d{2}:\d{2})",
+    re.ASCII,
 )
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _LATEST_NS = 2**63 - 1
