@@ -66,7 +66,7 @@ def estimate(
       mclass estimate drive.mcap -c boxes.yaml -o result.mcap --every 10
       mclass estimate drive.mcap -S +30s -E +90s --format json
     """
-    from mclass.estimate import run
+    from mclass.pipeline import run
     from mclass.text.documents import estimate_json
     from mclass.text.reports import estimate_text
     from mclass.text.terminal import Terminal
