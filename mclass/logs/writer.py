@@ -290,7 +290,9 @@ class LogWriter:
             ),
         ]
         starts, shifts = [], []
-        crc = index.data_crc if index.kept == [(len(MAGIC), index.data_end)] else 0
+        whole = index.kept == [(len(MAGIC), index.data_end)]
+        # What the kernel copies is never seen here: continue the source's checksum or have none.
+        self._crc = (index.data_crc or None) if whole else None
         for start, end, loose in sorted(pieces, key=lambda piece: piece[0]):
             if loose is not None:
                 self._wrap(reader, loose)
@@ -299,7 +301,6 @@ class LogWriter:
             shifts.append(self._position - start)
             self._file.copy(reader.source, start, end, self._report)
             self._position += end - start
-        self._crc = crc or None
         return lambda offset: shifts[bisect.bisect_right(starts, offset) - 1]
 
     def _report(self, position: int) -> None:
