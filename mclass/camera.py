@@ -20,6 +20,8 @@ _EQUIDISTANT = frozenset({"equidistant", "fisheye", "kannala_brandt", "kannala_b
 _N_BROWN_CONRADY = 12
 _N_EQUIDISTANT = 4
 _NEWTON_STEPS = 30
+# Pixels this many focal lengths from the axis belong to no image.
+_MAX_SLOPE = 1e6
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,10 @@ def pixel_rays(
     intrinsics, name = calibrations.intrinsics, calibrations.model.lower()
     usable = has_focal_length(intrinsics) & transforms.finite_rows(calibrations.coefficients)
     intrinsics = np.where(usable[:, None], intrinsics, 1.0)[rows]
-    good = usable[rows] & transforms.finite_rows(pixels)
-    points = np.where(good[:, None], (pixels - intrinsics[:, 2:]) / intrinsics[:, :2], 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        points = (pixels - intrinsics[:, 2:]) / intrinsics[:, :2]
+    good = usable[rows] & transforms.finite_rows(points, _MAX_SLOPE)
+    points = np.where(good[:, None], points, 0.0)
     if name in _PINHOLE:
         rays, solved = _append_one(points), np.ones(len(points), bool)
     elif name in _BROWN_CONRADY:
@@ -91,25 +95,6 @@ def pixel_rays(
             "rational_polynomial and equidistant (fisheye, kannala_brandt)"
         )
     return rays / np.linalg.norm(rays, axis=1, keepdims=True), good & solved
-
-
-def distort(points: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Ideal image points (x/z, y/z) moved by Brown-Conrady distortion.
-
-    Args:
-        points: (n, 2).
-        coefficients: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, (n, 12) or (12,).
-
-    Returns:
-        (n, 2).
-    """
-    c = np.moveaxis(np.broadcast_to(coefficients, (len(points), _N_BROWN_CONRADY)), -1, 0)
-    x, y = points[:, 0], points[:, 1]
-    u = x * x + y * y
-    radial = (1 + u * (c[0] + u * (c[1] + u * c[4]))) / (1 + u * (c[5] + u * (c[6] + u * c[7])))
-    moved_x = x * radial + 2 * c[2] * x * y + c[3] * (u + 2 * x * x) + u * (c[8] + u * c[9])
-    moved_y = y * radial + c[2] * (u + 2 * y * y) + 2 * c[3] * x * y + u * (c[10] + u * c[11])
-    return np.stack([moved_x, moved_y], axis=-1)
 
 
 def azimuths(vectors: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -177,7 +162,7 @@ def _pad(calibrations: Calibrations, width: int) -> FloatArray:
 def _undo_brown_conrady(
     distorted: FloatArray, coefficients: FloatArray, rows: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Newton's method on `distort`, kept inside the part where the radius grows.
+    """Newton's method on `_distort`, kept inside the part where the radius grows.
 
     Beyond it other points are distorted to the same place.
     """
@@ -185,18 +170,54 @@ def _undo_brown_conrady(
         return distorted, np.ones(len(distorted), bool)
     limit = _growing_radius(coefficients)[rows]
     points = _shrink(distorted, limit)
+    tolerance = 1e-13 * (1.0 + np.linalg.norm(distorted, axis=1))
     error = np.full(len(points), np.inf)
     active = np.arange(len(points))
     for _ in range(_NEWTON_STEPS):
-        at, c = points[active], coefficients[rows[active]]
-        residual = distort(at, c) - distorted[active]
-        error[active] = np.linalg.norm(residual, axis=1)
-        going = error[active] > 1e-13 * (1.0 + np.linalg.norm(distorted[active], axis=1))
+        # One calibration for all is the rule; it need not be copied for every point.
+        c = coefficients if len(coefficients) == 1 else coefficients[rows[active]]
+        moved, step = _distort(points[active], c, distorted[active])
+        error[active] = np.hypot(moved[:, 0], moved[:, 1])
+        going = error[active] > tolerance[active]
         if not going.any():
             break
-        active, at, c, residual = active[going], at[going], c[going], residual[going]
-        points[active] = _shrink(at + _newton_step(at, c, residual), limit[active])
+        active = active[going]
+        points[active] = _shrink(points[active] + step[going], limit[active])
     return points, error < 1e-9
+
+
+def _distort(
+    points: FloatArray, coefficients: FloatArray, goal: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far points are distorted beside their goal, and the Newton step towards it.
+
+    Args:
+        points: Ideal image points x/z, y/z, (n, 2).
+        coefficients: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, (n, 12) or (1, 12).
+        goal: Where they should be distorted to, (n, 2).
+
+    Returns:
+        Offsets and steps, (n, 2) each.
+    """
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.moveaxis(coefficients, -1, 0)
+    x, y = points[:, 0], points[:, 1]
+    u, xy = x * x + y * y, x * y
+    above = 1 + u * (k1 + u * (k2 + u * k3))
+    below = 1 + u * (k4 + u * (k5 + u * k6))
+    radial = above / below
+    slope = (k1 + u * (2 * k2 + 3 * u * k3) - radial * (k4 + u * (2 * k5 + 3 * u * k6))) / below
+    off_x = x * radial + 2 * p1 * xy + p2 * (u + 2 * x * x) + u * (s1 + u * s2) - goal[:, 0]
+    off_y = y * radial + p1 * (u + 2 * y * y) + 2 * p2 * xy + u * (s3 + u * s4) - goal[:, 1]
+    prism_x, prism_y = 2 * (s1 + 2 * u * s2), 2 * (s3 + 2 * u * s4)
+    shared = 2 * xy * slope + 2 * p1 * x + 2 * p2 * y
+    xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x + x * prism_x
+    yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x + y * prism_y
+    x_by_y, y_by_x = shared + y * prism_x, shared + x * prism_y
+    determinant = xx * yy - x_by_y * y_by_x
+    safe = np.where(np.abs(determinant) < 1e-12, 1e-12, determinant)
+    step_x = (x_by_y * off_y - yy * off_x) / safe
+    step_y = (y_by_x * off_x - xx * off_y) / safe
+    return np.stack([off_x, off_y], axis=1), np.stack([step_x, step_y], axis=1)
 
 
 def _shrink(points: FloatArray, limit: FloatArray) -> FloatArray:
@@ -204,26 +225,6 @@ def _shrink(points: FloatArray, limit: FloatArray) -> FloatArray:
     radius = np.linalg.norm(points, axis=1)
     factor = np.where(radius > limit, limit / np.where(radius > 0, radius, 1.0), 1.0)
     return points * factor[:, None]
-
-
-def _newton_step(points: FloatArray, coefficients: FloatArray, residual: FloatArray) -> FloatArray:
-    """Solve J step = -residual, J by central differences of the smooth `distort`."""
-    h = 1e-6
-    shift_x, shift_y = np.array([h, 0.0]), np.array([0.0, h])
-    plus_x, minus_x = (
-        distort(points + shift_x, coefficients),
-        distort(points - shift_x, coefficients),
-    )
-    plus_y, minus_y = (
-        distort(points + shift_y, coefficients),
-        distort(points - shift_y, coefficients),
-    )
-    dx, dy = (plus_x - minus_x) / (2 * h), (plus_y - minus_y) / (2 * h)
-    determinant = dx[:, 0] * dy[:, 1] - dy[:, 0] * dx[:, 1]
-    safe = np.where(np.abs(determinant) < 1e-12, 1e-12, determinant)
-    step_x = (dy[:, 0] * residual[:, 1] - dy[:, 1] * residual[:, 0]) / safe
-    step_y = (dx[:, 1] * residual[:, 0] - dx[:, 0] * residual[:, 1]) / safe
-    return np.stack([step_x, step_y], axis=-1)
 
 
 def _growing_radius(coefficients: FloatArray) -> FloatArray:

@@ -19,6 +19,9 @@ from mclass.records import BoolArray, FloatArray, IntArray
 OPTICAL_ROTATION = np.array([-0.5, 0.5, -0.5, 0.5])
 """Optical frame (z forward, x right) in the body frame (x forward, y left), REP 103."""
 
+MAX_DISTANCE = 1e9
+"""Nothing is further away [m]; larger numbers are rubbish, and their squares overflow."""
+
 
 @dataclass(frozen=True)
 class Transforms:
@@ -75,9 +78,9 @@ def normalize_quaternions(quaternions: FloatArray) -> tuple[FloatArray, BoolArra
     return safe / np.linalg.norm(safe, axis=-1, keepdims=True), valid
 
 
-def finite_rows(values: FloatArray) -> BoolArray:
-    """Which rows of an array (n, k) hold finite numbers only, (n,)."""
-    return np.asarray(np.isfinite(values).all(axis=1))
+def finite_rows(values: FloatArray, limit: float = np.inf) -> BoolArray:
+    """Which rows of an array (n, k) hold only finite numbers of at most a size, (n,)."""
+    return np.asarray((np.isfinite(values) & (np.abs(values) <= limit)).all(axis=1))
 
 
 def multiply(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -808,3 +808,62 @@ def test_every_detection_is_used_or_counted(tmp_path: Path, data: st.DataObject)
         log.detections(time, found)
     contents = read(log.close(), model)
     assert contents.detections == sum(len(found) for _, found in messages)
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_whatever_the_poses_nothing_but_numbers_comes_out(
+    tmp_path: Path, data: st.DataObject
+) -> None:
+    number = st.one_of(
+        st.floats(-10, 10),
+        st.sampled_from([float("nan"), float("inf"), 0.0, 1e300, -1e300, 1e-300, 7e6]),
+    )
+    four = st.tuples(number, number, number, number)
+    poses = data.draw(st.lists(st.tuples(number, number, four, number), max_size=5))
+    mount = data.draw(st.tuples(st.tuples(number, number, number), four))
+    focal = data.draw(number)
+    corners = data.draw(st.lists(st.tuples(number, number, number), min_size=2, max_size=2))
+    log = SceneLog(tmp_path / "random.mcap")
+    log.odometry(0.1, 0.0, 0.0, 0.0)
+    for step, (x, y, turn, variance) in enumerate(poses):
+        covariance = _covariance(variance, abs(variance), 1.0)
+        log.odometry(step / 10, x, y, 0.0, quaternion=turn, covariance=covariance)
+    log.transform(0.0, "base_link", "camera", *mount)
+    log.transform(0.0, "base_link", "lidar", *mount)
+    # An image without a size cannot clip anything.
+    log.camera(0.0, k=(focal, 500.0, 320.0, 240.0), size=(0, 0))
+    log.detections(0.2, [detection({"cup": 1.0}, box(-1e300, 0, 1e300, 1e300))])
+    log.detections(0.3, [detection({"cup": 1.0}, box(300, 0, 400, 1e300))])
+    boxes = [_volume(corners[0], corners[1]), _volume(corners[1], corners[0], mount[1])]
+    message = {"header": header(0.25, "lidar"), "detections": boxes}
+    log.add("/boxes", "vision_msgs/msg/Detection3DArray", at(0.25), message)
+    model = make_model(detections=(FieldMapping("/camera/detections"), FieldMapping("/boxes")))
+    contents = read(log.close(), model)
+    covariances = contents.measurements.frames.covariances
+    assert covariances is None or np.isfinite(covariances).all()
+    assert contents.detections == 4
+
+
+def test_stamps_before_1970_are_none(log: SceneLog) -> None:
+    standing_robot(log)
+    message = {
+        "header": {"stamp": {"sec": -(2**31), "nanosec": 0}, "frame_id": "camera"},
+        "detections": [detection({"cup": 1.0})],
+    }
+    log.add("/camera/detections", "vision_msgs/msg/Detection2DArray", at(1.0), message)
+    log.detections(2.0, [])
+    found = read(log.close()).measurements
+    assert found.frames.stamps_ns.tolist() == [at(1.0), at(2.0)]
+
+
+@pytest.mark.parametrize(
+    "number", [1_700_000_001, 1_700_000_001.0, 1_700_000_001_000, 1_700_000_001 * SECOND]
+)
+def test_plain_numbers_as_stamps(log: SceneLog, number: float) -> None:
+    standing_robot(log)
+    message = {"timestamp": number, "frame": "camera", "label": "cup", "score": 0.5}
+    log.add("/custom", "my.Type", at(2.0), message)
+    assert read(log.close()).measurements.stamps_ns.tolist() == [at(1.0)]

@@ -176,6 +176,8 @@ def encode_texts(texts: TextArray) -> tuple[list[str], IntArray]:
 
 def as_names(values: npt.NDArray[Any]) -> TextArray:
     """Label names; numbers as people write them (``3``, not ``3.0``)."""
+    if values.dtype == object:
+        return values
     if values.dtype.kind == "f":
         values = np.array([f"{value:.15g}" for value in values.tolist()], dtype=object)
     return np.array([str(value) for value in values.tolist()] + [None], dtype=object)[:-1]
@@ -190,20 +192,28 @@ def as_ids(values: npt.NDArray[Any]) -> TextArray:
 
 
 def read_stamps(table: Table, alternatives: Sequence[str]) -> IntArray:
-    """Header stamps [ns], 0 where there are none; plain numbers by their magnitude."""
+    """Header stamps [ns], 0 where there are none; plain numbers by their magnitude.
+
+    Stamps before 1970 are none: no clock shows them, and differences to them overflow.
+    """
     if not alternatives:
         return np.zeros(len(table), np.int64)
     values = table.at_level(alternatives[0], "")
-    if values.dtype.kind in "iu":
+    if table.is_time(alternatives[0]):
+        stamps = values.astype(np.int64)
+    elif values.dtype.kind in "iuf":
         # Seconds since 1970 stay below 1e11 for three thousand years, milliseconds below 1e14, ...
-        scales = np.array([10**9, 10**6, 10**3, 1])
-        size = np.abs(values.astype(np.float64))
-        scaled = values.astype(np.int64) * scales[np.searchsorted([1e11, 1e14, 1e17], size)]
-        return np.asarray(scaled)
-    if values.dtype.kind == "f":
-        usable = np.isfinite(values) & (np.abs(values) < 9e9)
-        return np.asarray(np.where(usable, np.rint(np.where(usable, values, 0) * 1e9), 0), np.int64)
-    return np.zeros(len(table), np.int64)
+        with np.errstate(invalid="ignore"):
+            usable = (values >= 0) & (values < 2.0**63)
+        safe = np.where(usable, values, 0)
+        scale = np.array([10**9, 10**6, 10**3, 1])[np.searchsorted([1e11, 1e14, 1e17], safe)]
+        whole = safe.astype(np.int64)
+        stamps = whole * np.where(whole < np.iinfo(np.int64).max // scale, scale, 0)
+        if values.dtype.kind == "f":
+            stamps += np.rint((safe - whole) * scale).astype(np.int64)
+    else:
+        stamps = np.zeros(len(table), np.int64)
+    return np.maximum(stamps, 0)
 
 
 def _frame_names(table: Table, alternatives: Sequence[str]) -> TextArray:

@@ -29,6 +29,10 @@ REASONS = (
 """Why a box has no direction, by the codes that the functions here return; 0 if it has one."""
 
 _CODES = {reason: code for code, reason in enumerate(REASONS)}
+# Beyond every image, yet small enough to be added up.
+_MAX_PIXEL = 1e12
+# Angles of more turns than this have no digits left for a direction.
+_MAX_BEARING = 1e6
 _CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
@@ -55,7 +59,7 @@ def box_directions(
     """
     codes = np.zeros(len(boxes), np.int64)
     finite = transforms.finite_rows(boxes)
-    boxes = np.where(finite[:, None], boxes, 0.0)
+    boxes = np.clip(np.where(finite[:, None], boxes, 0.0), -_MAX_PIXEL, _MAX_PIXEL)
     low, high = boxes[:, :2], boxes[:, 2:]
     negative = np.asarray((high < low).any(axis=1))
     size = calibrations.image_sizes[rows]
@@ -89,6 +93,45 @@ def box_directions(
     return np.where((codes == 0)[:, None], edges, np.nan), codes
 
 
+def view_directions(
+    calibrations: Calibrations, rows: IntArray, rotations_world_optical: FloatArray
+) -> FloatArray:
+    """Right and left border of the image, at its centre row, on the ground plane.
+
+    Args:
+        calibrations: Of the camera.
+        rows: Calibration at each look, (m,).
+        rotations_world_optical: Full 3-D orientation at each look, (m, 4).
+
+    Returns:
+        World azimuths [rad], (m, 2); NaN where the image size or a ray is unknown.
+    """
+    size = calibrations.image_sizes
+    known = np.asarray((size > 0).all(axis=1))
+    middle = 0.5 * size
+    rays, solved = [], []
+    own = np.arange(len(size))
+    # Unprojected once for each calibration, as looks are many and these are few.
+    for pixels in (
+        _with(middle, np.zeros_like(size), 0),
+        _with(middle, size, 0),
+        _with(middle, np.zeros_like(size), 1),
+        _with(middle, size, 1),
+        middle,
+    ):
+        ray, valid = camera.pixel_rays(calibrations, own, pixels)
+        rays.append(ray[rows])
+        solved.append((valid & known)[rows])
+    sideways = _is_sideways(rotations_world_optical)
+    azimuths, usable = [], solved[4]
+    for across, along in ((0, 2), (1, 3), (4, 4)):
+        ray = np.where(sideways[:, None], rays[along], rays[across])
+        azimuth, level = camera.ray_azimuths(rotations_world_optical, ray)
+        azimuths.append(azimuth)
+        usable = usable & level & np.where(sideways, solved[along], solved[across])
+    return np.where(usable[:, None], camera.order_edges(*azimuths), np.nan)
+
+
 def bearing_directions(
     rotations_world_sensor: FloatArray, bearings: FloatArray, *, optical: bool
 ) -> tuple[FloatArray, IntArray]:
@@ -102,7 +145,7 @@ def bearing_directions(
     Returns:
         As `box_directions`.
     """
-    finite = transforms.finite_rows(bearings)
+    finite = transforms.finite_rows(bearings, _MAX_BEARING)
     safe = np.where(finite[:, None], bearings, 0.0)
     width = np.remainder(safe[:, 1] - safe[:, 0], 2.0 * np.pi)
     azimuths = []
@@ -136,7 +179,9 @@ def volume_directions(
     turns, turned = transforms.normalize_quaternions(volumes[:, 3:7])
     # A point has no orientation that could be wrong, and all zeros is one that was left out.
     untold = np.asarray((sizes == 0).all(axis=1) | (volumes[:, 3:7] == 0).all(axis=1))
-    finite = transforms.finite_rows(volumes[:, [0, 1, 2, 7, 8, 9]]) & (turned | untold)
+    finite = transforms.finite_rows(volumes[:, [0, 1, 2, 7, 8, 9]], transforms.MAX_DISTANCE) & (
+        turned | untold
+    )
     safe = np.where(finite[:, None], volumes, 0.0)
     centers = transforms.rotate(rotations_world_sensor, safe[:, :3]) + shifts
     corners = _CORNERS * safe[:, None, 7:]

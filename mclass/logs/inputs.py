@@ -92,7 +92,7 @@ class InputReader:
         around = _MARGIN_NS + self.max_gap_ns
         self._around: Window = (
             None if start_ns is None else max(start_ns - around, 0),
-            None if end_ns is None else end_ns + around,
+            None if end_ns is None else min(end_ns + around, 2**63 - 1),
         )
         self._until: Window = (None, self._around[1])
 

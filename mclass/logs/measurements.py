@@ -8,6 +8,7 @@ exactly one reason: ``detections == len(measurements) + tally.total``.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -288,14 +289,9 @@ def _place_sensor(
     if sensor.camera is not None:
         calibrations = sensor.camera.calibrations
         which = sensor.camera.rows_at(inputs.stamps_ns[rows])
-        size = calibrations.image_sizes[which]
-        image = np.concatenate([np.zeros_like(size), size], axis=1)
-        try:
-            views, _ = directions.box_directions(calibrations, which, rotations, image)
-        except ModelError:
-            return
-        sized = np.asarray((size > 0).all(axis=1))
-        looks.views[rows] = np.where(sized[:, None], views, np.nan)
+        # What is wrong with a calibration is said where boxes need it.
+        with suppress(ModelError):
+            looks.views[rows] = directions.view_directions(calibrations, which, rotations)
 
 
 def _directions(

@@ -70,7 +70,11 @@ def read_tree(tables: Iterable[Table], tally: Tally) -> TransformTree:
         np.concatenate([part.transforms.rotations_xyzw for part in edges]),
     )
     rotations, turned = transforms.normalize_quaternions(moved.rotations_xyzw)
-    usable = turned & transforms.finite_rows(moved.translations) & (parents != children)
+    usable = (
+        turned
+        & transforms.finite_rows(moved.translations, transforms.MAX_DISTANCE)
+        & (parents != children)
+    )
     tally.add("transform that is no rigid motion", int((~usable).sum()))
     moved = Transforms(moved.translations, rotations)
     keys: dict[tuple[str, str], int] = {}
@@ -139,7 +143,7 @@ def _edges(table: Table, tally: Tally) -> _Edges | None:
     if table.failures:
         tally.add("transform message that could not be read", sum(table.failures.values()))
     message = table.parents("", family.element) if family.element else np.arange(len(table))
-    header = table.values(family.stamp).astype(np.int64)
+    header = np.maximum(table.values(family.stamp).astype(np.int64), 0)
     stamps = np.where(header != 0, header, table.log_times_ns[message])
     static = np.full(len(stamps), is_static_topic(table.channel.topic))
     return _Edges(

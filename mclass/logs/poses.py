@@ -16,6 +16,8 @@ from mclass.records import BoolArray, FloatArray, IntArray, PoseTrack, Tally
 from mclass.transforms import TransformTree
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+_MAX_SPEED = 1e4
+_MAX_HEADING = 1e6
 _PLANAR = np.array([0, 1, 5])
 
 
@@ -73,6 +75,9 @@ def read_pose_track(table: Table, fields: PoseFields, *, by_log_time: bool = Fal
     places = np.stack([table.floats(path) for path in fields.position], axis=1)
     usable = transforms.finite_rows(places)
     tally.add("position not finite", int((~usable).sum()))
+    near = transforms.finite_rows(places, transforms.MAX_DISTANCE)
+    tally.add("position further than 1e9 m", int((usable & ~near).sum()))
+    usable &= near
     turns, turned = _orientations(table, fields)
     tally.add("orientation is no rotation", int((usable & ~turned).sum()))
     usable &= turned
@@ -117,8 +122,8 @@ def read_velocity_track(table: Table, family: VelocityFamily, max_gap_ns: int) -
     tally = Tally()
     columns = [f"{family.linear}.x", f"{family.linear}.y", f"{family.angular}.z"]
     velocities = np.stack([table.floats(path) for path in columns], axis=1)
-    usable = transforms.finite_rows(velocities)
-    tally.add("velocity not finite", int((~usable).sum()))
+    usable = transforms.finite_rows(velocities, _MAX_SPEED)
+    tally.add("velocity not finite or above 1e4 m/s", int((~usable).sum()))
     header = read_stamps(table, family.stamp)
     clock: Literal["header", "log"] = "header" if (header[usable] != 0).any() else "log"
     stamps = table.log_times_ns
@@ -163,7 +168,8 @@ def transform_track(tree: TransformTree, parent: str, child: str, max_gap_ns: in
 
 def is_positive_semidefinite(matrices: FloatArray) -> BoolArray:
     """Which of (n, k, k) matrices are covariances: finite, symmetric, no negative direction."""
-    finite = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
+    limit = transforms.MAX_DISTANCE**2
+    finite = np.asarray((np.isfinite(matrices) & (np.abs(matrices) <= limit)).all(axis=(1, 2)))
     safe = np.where(finite[:, None, None], matrices, 0.0)
     scale = np.abs(safe).max(axis=(1, 2), initial=0.0)
     skew = np.abs(safe - np.swapaxes(safe, 1, 2)).max(axis=(1, 2), initial=0.0)
@@ -178,7 +184,7 @@ def _orientations(table: Table, fields: PoseFields) -> tuple[FloatArray, BoolArr
         return transforms.normalize_quaternions(values)
     if len(fields.orientation) == 1:
         headings = table.floats(fields.orientation[0])
-        finite = np.isfinite(headings)
+        finite = np.isfinite(headings) & (np.abs(headings) <= _MAX_HEADING)
         return transforms.from_heading(np.where(finite, headings, 0.0)), finite
     return np.tile(UPRIGHT, (len(table), 1)), np.ones(len(table), bool)
 

@@ -32,16 +32,22 @@ class Table:
         channel: Where they came from.
         log_times_ns: Log time of each message, (m,).
         columns: By path.
+        kinds: What the values of a path are, by path.
         failures: Messages that could not be decoded, by reason.
     """
 
     channel: ChannelInfo
     log_times_ns: IntArray
     columns: Mapping[str, Column]
+    kinds: Mapping[str, str]
     failures: Mapping[str, int]
 
     def __len__(self) -> int:
         return len(self.log_times_ns)
+
+    def is_time(self, path: str) -> bool:
+        """Whether a path holds stamps [ns], and not plain numbers."""
+        return self.kinds[path] == "time"
 
     def values(self, path: str) -> npt.NDArray[Any]:
         """Values of a path, at its own level."""
@@ -229,6 +235,7 @@ def read_tables(
             channel,
             np.concatenate([np.zeros(0, np.int64), *times[key]]).astype(np.int64),
             {path: _join(path, [part[path] for part in parts[key]]) for path in paths[key]},
+            {path: decoders.of(channel).paths[path] for path in paths[key]},
             failures[key],
         )
         for key, channel in channels.items()
