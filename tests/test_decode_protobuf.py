@@ -425,3 +425,31 @@ def test_unusable_schemas_are_refused(schema: bytes, message: str) -> None:
     with pytest.raises(LogError, match=message) as caught:
         ChannelDecoder.for_channel(channel("protobuf", "hand.Root", schema, "protobuf"))
     assert caught.value.topic == "/topic"
+
+
+VARINTS = (
+    F.TYPE_INT32,
+    F.TYPE_UINT32,
+    F.TYPE_SINT32,
+    F.TYPE_INT64,
+    F.TYPE_UINT64,
+    F.TYPE_SINT64,
+    F.TYPE_BOOL,
+    F.TYPE_ENUM,
+)
+
+
+@pytest.mark.parametrize("bits", [0, 1, 0x7FFF_FFFF, 0x8000_0000, 0x12_8000_0003, 2**64 - 1])
+def test_varints_wider_than_their_field_are_cut_as_google_cuts_them(bits: int) -> None:
+    root = DescriptorProto(name="Root")
+    for number, type_ in enumerate(VARINTS, start=1):
+        type_name = ".random.Choice" if type_ == F.TYPE_ENUM else None
+        root.field.append(one(type_, number, type_name=type_name))
+    google = make_class(root, packed=True)
+    digits = [bits >> shift & 0x7F for shift in range(0, 70, 7)]
+    varint = bytes(digit | 0x80 for digit in digits[:-1]) + bytes(digits[-1:])
+    payload = b"".join(bytes([number << 3]) + varint for number in range(1, len(VARINTS) + 1))
+    source = proto_channel(google)
+    decoder = ChannelDecoder.for_channel(source)
+    columns = decoder.columns(batch(source, [payload]), list(decoder.paths))
+    assert_columns(columns.values, [google.FromString(payload)], decoder.paths)

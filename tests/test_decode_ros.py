@@ -217,6 +217,25 @@ def _summed(parts: list[Columns]) -> dict[str, int]:
     return total
 
 
+@pytest.mark.parametrize("repeats", [1, 12])
+def test_padding_within_and_between_elements(repeats: int) -> None:
+    inner = (Kind("uint8", None), Kind("float64", None), Kind("uint16", None))
+    outer = (Kind("string", None), Kind(inner, -1), Kind("uint8", None))
+    root = (Kind(outer, -1), Kind(inner, -1), Kind(inner, 3))
+    encoder = Encoder(root, ROS2, ros1=False)
+    inners = [(number, number * 0.5, number + 300) for number in range(4)]
+    outers = [("x" * number, inners[: number % 5], number) for number in range(7)]
+    messages = [
+        encoder.build(root, (outers[:count], inners[:count], inners[1:]), encoder.name)
+        for count in (7, 0, 1, 3) * repeats
+    ]
+    decoder = ChannelDecoder.for_channel(encoder.channel)
+    made = batch(encoder.channel, [encoder.encode(message) for message in messages])
+    columns = decoder.columns(made, list(decoder.paths))
+    assert columns.failures == {}
+    assert_columns(columns.values, messages, decoder.paths)
+
+
 def test_real_messages_as_rosbags_wrote_them() -> None:
     types = ROS2.types
     stamp = types["builtin_interfaces/msg/Time"]
