@@ -13,6 +13,9 @@ from mclass.records import BoolArray, FloatArray, IntArray
 _NO_WIDTH = 1e-9
 """Boxes that open less than this [rad] are rays."""
 
+_BORDER = 1e-9
+"""A ray this close to a cell [m] meets it: along a border it meets the cells on both sides."""
+
 _TILE = 16
 """Cells along the edge of a tile."""
 
@@ -151,6 +154,7 @@ def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
     if len(usable) == 0:
         return
     low, high = _bounding_boxes(pointing.select(usable))
+    low, high = low - _BORDER, high + _BORDER
     size = grid.cell_size * _TILE
     across = -(-grid.columns // _TILE)
     upward = -(-grid.rows // _TILE)
@@ -173,7 +177,8 @@ def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
     order = np.argsort(keys, kind="stable")
     keys, rows = keys[order], rows[order]
     starts = np.flatnonzero(np.diff(keys, prepend=-1))
-    for start, stop in zip(starts, [*starts[1:], len(keys)], strict=True):
+    stops = np.append(starts[1:], len(keys))
+    for start, stop in zip(starts, stops[: len(starts)], strict=True):
         upper, left = divmod(int(keys[start]), across)
         row = np.arange(upper * _TILE, min((upper + 1) * _TILE, grid.rows))
         column = np.arange(left * _TILE, min((left + 1) * _TILE, grid.columns))
@@ -242,7 +247,7 @@ def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
     if len(is_ray):
         axes = pointing.axes[is_ray]
         inside[:, is_ray] = _segment_meets_square(
-            offset_x[:, is_ray], offset_y[:, is_ray], axes, cell_size / 2.0, pointing
+            offset_x[:, is_ray], offset_y[:, is_ray], axes, cell_size / 2.0 + _BORDER, pointing
         )
     return Sight(ranges, directions, inside)
 

@@ -30,7 +30,10 @@ from mclass.observation import Term
 from mclass.records import FloatArray, IntArray
 
 _TOLERANCE = 4e-6
-"""Error allowed at the best view; it may grow by e for every two that the likelihood is lower."""
+"""Error allowed between the nodes."""
+
+_DEPTH = 8.0
+"""So far below the best view; farther down it may grow by e for every two."""
 
 _PADDING = 20
 """Range nodes sampled beyond those used: a prefilter's wrong boundary fades by 0.43 a node."""
@@ -199,7 +202,7 @@ def _interpolation_errors(
         return np.asarray(correlate1d(along, whole, axis=3 - axis, mode="wrap"))
 
     depth = samples.max(axis=(0, 2), keepdims=True) - samples
-    allowed = _TOLERANCE * np.exp(np.minimum(depth / 2.0, 100.0))
+    allowed = _TOLERANCE * np.exp(np.clip((depth - _DEPTH) / 2.0, 0.0, 100.0))
     used = slice(int(np.searchsorted(ranges, min_range)), len(ranges) - _PADDING)
     half_range = _evaluate(term, ranges + (ranges[1] - ranges[0]) / 2.0, aspects)
     half_aspect = _evaluate(term, ranges, aspects + aspects[1] / 2.0)
