@@ -41,11 +41,13 @@ class SceneLog:
         self._channels: dict[tuple[str, str], int] = {}
 
     def add(self, topic: str, schema: str, log_time_ns: int, message: Mapping[str, Any]) -> None:
+        self.raw(topic, schema, log_time_ns, json.dumps(message).encode())
+
+    def raw(self, topic: str, schema: str, log_time_ns: int, data: bytes) -> None:
         key = (topic, schema)
         if key not in self._channels:
             identity = self._writer.register_schema(schema, "jsonschema", b"{}") if schema else 0
             self._channels[key] = self._writer.register_channel(topic, "json", identity)
-        data = json.dumps(message).encode()
         self._writer.add_message(self._channels[key], log_time_ns, data, log_time_ns)
 
     def odometry(
@@ -136,7 +138,7 @@ class SceneLog:
         )
 
     def close(self) -> Path:
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
         return self.path
 

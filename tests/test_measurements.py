@@ -867,3 +867,28 @@ def test_plain_numbers_as_stamps(log: SceneLog, number: float) -> None:
     message = {"timestamp": number, "frame": "camera", "label": "cup", "score": 0.5}
     log.add("/custom", "my.Type", at(2.0), message)
     assert read(log.close()).measurements.stamps_ns.tolist() == [at(1.0)]
+
+
+def test_messages_that_cannot_be_decoded_are_counted(log: SceneLog) -> None:
+    standing_robot(log)
+    log.detections(1.0, [detection({"cup": 1.0})])
+    log.raw("/camera/detections", "vision_msgs/msg/Detection2DArray", at(1.2), b"{not json")
+    log.raw("/odom", "nav_msgs/msg/Odometry", at(1.2), b"[]")
+    contents = read(log.close())
+    assert len(contents.measurements) == 1
+    assert {topic: sum(c.values()) for topic, c in contents.unreadable.items()} == {
+        "/camera/detections": 1,
+        "/odom": 1,
+    }
+
+
+def test_poses_of_a_frame_that_no_transform_knows(log: SceneLog) -> None:
+    for time in (0.0, 0.5, 1.0):
+        log.odometry(time, 1.0, 2.0, NORTH, child="base_footprint")
+    log.transform(0.0, "base_link", "camera", (0.2, 0.0, 0.5), OPTICAL)
+    log.camera(0.0)
+    log.detections(0.5, [detection({"cup": 1.0})])
+    contents = read(log.close())
+    expected = [[1.0, 2.2, NORTH]]
+    np.testing.assert_allclose(contents.measurements.frames.poses_world_sensor, expected)
+    assert any("base_link is taken for it" in note for note in contents.notes)

@@ -14,8 +14,11 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros2.writer import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 from scene_logs import (
     OPTICAL,
     SceneLog,
@@ -429,6 +432,122 @@ def test_a_turned_box_is_as_wide_as_its_corners(tmp_path: Path) -> None:
         [{**message, "bbox": turned}],
     )
     check(read(path))
+
+
+def ros1_types() -> Typestore:
+    """ROS 1 with its vision_msgs: numbers for classes, no ids, and the header's sequence."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    definitions = {
+        "vision_msgs/msg/Detection2DArray": "std_msgs/Header header\n"
+        "vision_msgs/Detection2D[] detections\n",
+        "vision_msgs/msg/Detection2D": "std_msgs/Header header\n"
+        "vision_msgs/ObjectHypothesisWithPose[] results\n"
+        "vision_msgs/BoundingBox2D bbox\nsensor_msgs/Image source_img\n",
+        "vision_msgs/msg/ObjectHypothesisWithPose": "int64 id\nfloat64 score\n"
+        "geometry_msgs/PoseWithCovariance pose\n",
+        "vision_msgs/msg/BoundingBox2D": "geometry_msgs/Pose2D center\n"
+        "float64 size_x\nfloat64 size_y\n",
+        "tf/msg/tfMessage": "geometry_msgs/TransformStamped[] transforms\n",
+    }
+    types: dict[str, Any] = {}
+    for name, text in definitions.items():
+        types.update(get_types_from_msg(text, name))
+    store.register(types)
+    return store
+
+
+def test_ros_1(tmp_path: Path) -> None:
+    store = ros1_types()
+    make = {name.rpartition("/")[2]: store.types[name] for name in store.types}
+    path = tmp_path / "a.mcap"
+
+    def head(time: float, frame: str) -> Any:
+        seconds, rest = divmod(at(time), 10**9)
+        stamp_ = store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
+        return make["Header"](seq=1, stamp=stamp_, frame_id=frame)
+
+    def pose(x: float, y: float, turn: tuple[float, ...]) -> Any:
+        quaternion = make["Quaternion"](*turn)
+        return make["Pose"](position=make["Point"](x, y, 0.0), orientation=quaternion)
+
+    def with_covariance(inner: Any) -> Any:
+        return make["PoseWithCovariance"](pose=inner, covariance=np.zeros(36))
+
+    still = make["Vector3"](0.0, 0.0, 0.0)
+    twist = make["TwistWithCovariance"](
+        twist=make["Twist"](linear=still, angular=still), covariance=np.zeros(36)
+    )
+    quarter = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+    messages: list[tuple[str, str, float, Any]] = [
+        (
+            "/odom",
+            "nav_msgs/msg/Odometry",
+            step / 10,
+            make["Odometry"](
+                header=head(step / 10, "odom"),
+                # Old frame names begin with a slash.
+                child_frame_id="/base_link",
+                pose=with_covariance(pose(1.0, 2.0, quarter)),
+                twist=twist,
+            ),
+        )
+        for step in range(31)
+    ]
+    mount = make["Transform"](
+        translation=make["Vector3"](0.2, 0.0, 0.5), rotation=make["Quaternion"](*OPTICAL)
+    )
+    # Published again and again instead of latched, as ROS 1 did.
+    for time in (0.0, 0.5, 1.0):
+        link = make["TransformStamped"](
+            header=head(time, "base_link"), child_frame_id="camera", transform=mount
+        )
+        messages.append(("/tf", "tf/msg/tfMessage", time, make["tfMessage"](transforms=[link])))
+    region = make["RegionOfInterest"](0, 0, 0, 0, False)
+    calibration = make["CameraInfo"](
+        header=head(0.0, "camera"),
+        height=480,
+        width=640,
+        distortion_model="plumb_bob",
+        D=np.zeros(5),
+        K=np.array(K),
+        R=np.zeros(9),
+        P=np.zeros(12),
+        binning_x=0,
+        binning_y=0,
+        roi=region,
+    )
+    messages.append(("/camera/camera_info", "sensor_msgs/msg/CameraInfo", 0.0, calibration))
+    nowhere = with_covariance(pose(0.0, 0.0, (0.0, 0.0, 0.0, 1.0)))
+    image = make["Image"](head(0.0, ""), 0, 0, "", 0, 0, np.zeros(3, np.uint8))
+    found = make["Detection2D"](
+        header=head(1.0, "camera"),
+        results=[
+            make["ObjectHypothesisWithPose"](id=number, score=score, pose=nowhere)
+            for number, score in ((7, 0.5), (0, 0.75))
+        ],
+        bbox=make["BoundingBox2D"](make["Pose2D"](345.0, 240.0, 0.0), 150.0, 50.0),
+        source_img=image,
+    )
+    array = make["Detection2DArray"](header=head(1.0, "camera"), detections=[found])
+    messages.append(("/camera/detections", "vision_msgs/msg/Detection2DArray", 1.1, array))
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1", "test")
+        channels: dict[str, int] = {}
+        for topic, name, time, message in messages:
+            if topic not in channels:
+                text, _ = store.generate_msgdef(name, ros_version=1)
+                schema = writer.register_schema(
+                    name.replace("/msg/", "/"), "ros1msg", text.encode()
+                )
+                channels[topic] = writer.register_channel(topic, "ros1", schema)
+            data = bytes(store.serialize_ros1(message, name))
+            writer.add_message(channels[topic], at(time), data, at(time))
+        writer.finish()  # type: ignore[no-untyped-call]
+    contents = read(path, make_model(labels={"7": "jug", "0": "cup"}))
+    check(contents, None)
+    assert contents.encoding == "protobuf"
+    assert contents.track.child_frame == "base_link"
 
 
 def _proto_stamp(message: Any, time: float) -> None:

@@ -141,7 +141,13 @@ class InputReader:
         """Tables of channels, each read once."""
         missing = {key: paths for key, paths in wanted.items() if key not in self._tables}
         if missing:
-            self._tables.update(read_tables(self.reader, self.decoders, missing, *window))
+            condense = {
+                source.fields.covariance: poses.planar_covariances
+                for source in self.sources.poses
+                if source.fields is not None and source.fields.covariance is not None
+            }
+            tables = read_tables(self.reader, self.decoders, missing, *window, condense=condense)
+            self._tables.update(tables)
         return [self._tables[key] for key in wanted]
 
     def _read_ahead(self, pose_sources: Iterable[PoseSource]) -> None:
@@ -236,7 +242,8 @@ class InputReader:
                 stamps = _stamps(detections, by_log_time=track.clock == "log")
                 covered = int(track.covered(stamps, self.max_gap_ns).sum())
                 tried.append((covered, track, source))
-            if any(covered for covered, _, _ in tried) or not detections.n_looks:
+            needed = 1 if detections.n_looks else 0
+            if any(covered >= needed and len(track) for covered, track, _ in tried):
                 break
         # The first of equals is the best of its rank: sources come sorted by rank and name.
         usable = [entry for entry in tried if len(entry[1])]
@@ -352,9 +359,14 @@ class InputReader:
         robot = track.poses.child_frame
         used = choose_camera(cameras, topic, frame)
         sensor_frame = used.frame if used is not None and used.frame else frame
-        if not robot or robot not in tree:
-            return mounting.robot_frame(tree, sensor_frame, track.poses.frame)
-        return robot
+        if robot in tree:
+            return robot
+        root = mounting.robot_frame(tree, sensor_frame, track.poses.frame)
+        if robot and root in tree:
+            self.notes.append(
+                f"no transform leads to {robot}, whose poses these are; {root} is taken for it"
+            )
+        return root
 
     def _numbered(self) -> dict[str, str]:
         names: dict[str, str] = {}

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mclass import geometry, transforms
+from mclass.logs.decode.base import Column
 from mclass.logs.detections import TextArray, clean_frames, read_stamps
 from mclass.logs.families import VelocityFamily
 from mclass.logs.fields import PoseFields
@@ -18,7 +19,8 @@ from mclass.transforms import TransformTree
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 _MAX_SPEED = 1e4
 _MAX_HEADING = 1e6
-_PLANAR = np.array([0, 1, 5])
+# Of a 6 by 6 matrix in rows: x, y and the rotation about z.
+_PLANAR = np.array([0, 1, 5, 6, 7, 11, 30, 31, 35])
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def read_pose_track(table: Table, fields: PoseFields, *, by_log_time: bool = Fal
     """Poses of one channel.
 
     Args:
-        table: The channel's messages.
+        table: The channel's messages, with `planar_covariances` for covariances.
         fields: Where they are.
         by_log_time: Stamp poses by log time, whatever their headers say.
     """
@@ -166,6 +168,27 @@ def transform_track(tree: TransformTree, parent: str, child: str, max_gap_ns: in
     return Track(PoseTrack(parent, child, stamps, poses), tilts, still=not moving)
 
 
+def planar_covariances(column: Column) -> Column:
+    """Covariances of x, y and heading out of those of all six degrees of freedom.
+
+    Args:
+        column: Fixed arrays of 36 numbers, (n, 36), or lists of them.
+
+    Returns:
+        The 3 by 3 matrices, (n, 9); NaN where a list is empty, infinite if of another size.
+    """
+    if column.offsets:
+        spans = column.offsets[0]
+        counts = np.diff(spans)
+        result = np.where(counts == 0, np.nan, np.inf)[:, None].repeat(9, axis=1)
+        full = counts == 36
+        result[full] = column.values[spans[:-1][full, None] + _PLANAR]
+        return Column(result)
+    if column.values.ndim != 2 or column.values.shape[1] != 36:
+        return Column(np.full((len(column.values), 9), np.nan))
+    return Column(column.values[:, _PLANAR].astype(np.float64))
+
+
 def is_positive_semidefinite(matrices: FloatArray) -> BoolArray:
     """Which of (n, k, k) matrices are covariances: finite, symmetric, no negative direction."""
     limit = transforms.MAX_DISTANCE**2
@@ -221,10 +244,9 @@ def _covariances(
     """
     if fields.covariance is None or not len(rows):
         return None
-    given = _square_covariances(table, fields.covariance)
-    if given is None:
+    planar = table.floats(fields.covariance)[rows].reshape(-1, 3, 3)
+    if np.isnan(planar).all():
         return None
-    planar = given[rows][:, _PLANAR[:, None], _PLANAR]
     sound = is_positive_semidefinite(planar)
     tally.add("covariance not positive semi-definite (left out)", int((~sound).sum()))
     # Publishers that do not know their covariance leave it zero, or set its first entry to -1.
@@ -234,15 +256,3 @@ def _covariances(
     source = known[np.maximum(np.searchsorted(known, np.arange(len(rows)), side="right") - 1, 0)]
     result = planar[source]
     return np.asarray(0.5 * (result + np.swapaxes(result, 1, 2)))
-
-
-def _square_covariances(table: Table, path: str) -> FloatArray | None:
-    """All messages' 6 by 6 covariances; those of another size are NaN."""
-    values = table.floats(path)
-    if values.ndim == 2:
-        return values.reshape(-1, 6, 6) if values.shape[1] == 36 else None
-    spans = table.columns[path].offsets[0]
-    full = np.diff(spans) == 36
-    result = np.full((len(full), 6, 6), np.nan)
-    result[full] = values[spans[:-1][full, None] + np.arange(36)].reshape(-1, 6, 6)
-    return None if (np.diff(spans) == 0).all() else result

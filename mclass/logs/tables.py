@@ -203,6 +203,8 @@ def read_tables(
     wanted: Mapping[int, Iterable[str]],
     start_ns: int | None = None,
     end_ns: int | None = None,
+    *,
+    condense: Mapping[str, Callable[[Column], Column]] | None = None,
 ) -> dict[int, Table]:
     """Read several channels in one pass over the file.
 
@@ -212,6 +214,7 @@ def read_tables(
         wanted: Paths to read, by channel id.
         start_ns: First log time, inclusive; None for the beginning.
         end_ns: Last log time, exclusive; None for the end.
+        condense: What to keep of each batch's column, by path, so that memory holds no more.
 
     Returns:
         One table for each wanted channel, empty ones included.
@@ -227,7 +230,11 @@ def read_tables(
         key = batch.channel.id
         columns = decoders.of(batch.channel).columns(batch, paths[key])
         times[key].append(batch.log_times_ns[columns.rows])
-        parts[key].append(columns.values)
+        values = dict(columns.values)
+        for path, keep in (condense or {}).items():
+            if path in values:
+                values[path] = keep(values[path])
+        parts[key].append(values)
         for reason, count in columns.failures.items():
             failures[key][reason] = failures[key].get(reason, 0) + count
     return {
@@ -246,11 +253,10 @@ def _join(path: str, columns: Sequence[Column]) -> Column:
     """Columns end to end."""
     if len(columns) == 1:
         return columns[0]
-    levels = path.count("[]")
     if not columns:
-        return Column(np.zeros(0), tuple(np.zeros(1, np.int64) for _ in range(levels)))
+        return Column(np.zeros(0), (np.zeros(1, np.int64),) * path.count("[]"))
     offsets = []
-    for level in range(levels):
+    for level in range(len(columns[0].offsets)):
         starts = np.cumsum([0] + [column.offsets[level][-1] for column in columns])
         offsets.append(
             np.concatenate(
