@@ -28,7 +28,7 @@ class Posterior:
     log_evidence: FloatArray
 
 
-def posterior(evidence: Evidence, log_priors: FloatArray) -> Posterior:
+def posterior(evidence: Evidence, log_priors: FloatArray, bins: int | None = None) -> Posterior:
     """Bayes' rule in logarithms, with the prior uniform over orientation (paper eq. 20).
 
     A class that is impossible keeps a uniform orientation density. A cell that nothing
@@ -37,6 +37,7 @@ def posterior(evidence: Evidence, log_priors: FloatArray) -> Posterior:
     Args:
         evidence: Of m cells.
         log_priors: Background first, normalised, (1 + n,).
+        bins: Of the density, a divisor of the evidence's; the same when None.
     """
     log_joint = np.concatenate(
         [evidence.background[:, None], log_mean_exp(evidence.classes)], axis=1
@@ -47,11 +48,18 @@ def posterior(evidence: Evidence, log_priors: FloatArray) -> Posterior:
     log_class = np.where(
         explained[:, None], log_joint - np.where(explained, log_evidence, 0.0)[:, None], log_priors
     )
-    return Posterior(log_class, log_orientation_density(evidence.classes), log_evidence)
+    return Posterior(log_class, log_orientation_density(evidence.classes, bins), log_evidence)
 
 
-def log_orientation_density(log_likelihood: FloatArray) -> FloatArray:
-    """Log density over orientation [1/rad] from log likelihoods at the bins, (..., bins)."""
+def log_orientation_density(log_likelihood: FloatArray, bins: int | None = None) -> FloatArray:
+    """Log density over orientation [1/rad] from log likelihoods at the bins.
+
+    Args:
+        log_likelihood: (..., bins).
+        bins: Keep only so many of the bins, a divisor of theirs; all when None.
+    """
+    if bins is not None:
+        log_likelihood = log_likelihood[..., :: log_likelihood.shape[-1] // bins]
     bins = log_likelihood.shape[-1]
     possible = np.isfinite(log_likelihood[..., :1])
     safe = np.where(possible, log_likelihood, 0.0)

@@ -88,7 +88,7 @@ def _history(problem: Problem, grid: Grid, cell: int, pairs: Pairs) -> list[Cell
         np.cumsum(each.background),
         np.arange(1, len(frames) + 1),
     )
-    belief = posterior(running, problem.model.classes.log_priors)
+    belief = posterior(running, problem.model.classes.log_priors, problem.engine.shown_bins)
     stamps = problem.measurements.frames.stamps_ns[frames]
     labels = _labels_by_frame(problem, pairs.looks)
     return [

@@ -95,9 +95,10 @@ class Engine:
     Attributes:
         terms: The observation model.
         n_classes: Without the background.
-        bins: Orientation bins.
+        bins: Orientation bins in which evidence is summed.
         pointing: Where the looks were taken from.
         has_term: Whether a look adds a term, (looks, terms).
+        reported_bins: Bins that beliefs are reported in, a divisor of ``bins``; 0 for all.
     """
 
     terms: tuple[Term, ...]
@@ -105,7 +106,13 @@ class Engine:
     bins: int
     pointing: Pointing
     has_term: BoolArray
+    reported_bins: int = 0
     _tables: dict[tuple[int, int], LikelihoodTable] = field(default_factory=dict)
+
+    @property
+    def shown_bins(self) -> int:
+        """Orientation bins of reported beliefs."""
+        return self.reported_bins or self.bins
 
     def evidence(self, pairs: Pairs) -> Evidence:
         """Sum the log likelihoods of all pairs, from tables where the model allows it."""

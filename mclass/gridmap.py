@@ -51,7 +51,13 @@ def grid_beliefs(
     touched = list(tiles(grid, looks.pointing))
     for number, tile in enumerate(touched):
         yield tuple(
-            TileBelief(number, len(touched), cells, evidence.looks, posterior(evidence, log_priors))
+            TileBelief(
+                number,
+                len(touched),
+                cells,
+                evidence.looks,
+                posterior(evidence, log_priors, engine.shown_bins),
+            )
             for cells, evidence in _cumulative(engine, looks, grid, tile, cuts_ns)
         )
 

@@ -17,6 +17,7 @@ from mclass.observation import Recognition, paper_terms, robust_terms
 from mclass.records import BoolArray, FloatArray, IntArray, LabelMeasurements
 from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
 from mclass.summary import summarise
+from mclass.table import resolving_bins
 
 UNEXPLAINED = "labels that no class returns together"
 
@@ -74,9 +75,12 @@ def prepare(model: Model, measurements: LabelMeasurements) -> Problem:
     engine = Engine(
         terms=terms,
         n_classes=len(model.classes.class_names),
-        bins=model.grid.orientation_bins,
+        bins=resolving_bins(
+            terms, model.grid.orientation_bins, model.grid.min_range, model.grid.max_range
+        ),
         pointing=pointing,
         has_term=has_term,
+        reported_bins=model.grid.orientation_bins,
     )
     grid = _grid(model, pointing.select(np.arange(len(measurements))))
     return Problem(model, measurements, used, looks, engine, grid)

@@ -262,7 +262,7 @@ class ObjectFilter:
             cells=self.candidates.cells[kept],
             log_cell_mass=log_cell - logsumexp(log_cell),
             log_class_probability=log_joint - log_cell[:, None],
-            log_density=log_orientation_density(classes).astype(np.float32),
+            log_density=log_orientation_density(classes, self.engine.shown_bins).astype(np.float32),
             measurements=np.full(len(kept), last.measurements, dtype=np.int64),
         )
 

@@ -18,6 +18,7 @@ kept; a row is a window of one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,13 @@ _TOLERANCE = 4e-6
 
 _DEPTH = 8.0
 """So far below the best view; farther down it may grow by e for every two."""
+
+_BIN_TOLERANCE = 2e-4
+"""Error allowed between orientation bins, where errors of either sign largely cancel."""
+
+_MOST_BINS = 4
+_HALF_WAY = np.array([1.0, 237.0, 1682.0, 1682.0, 237.0, 1.0]) / 3840.0
+"""Quintic B-spline half-way between two nodes."""
 
 _PADDING = 20
 """Range nodes sampled beyond those used: a prefilter's wrong boundary fades by 0.43 a node."""
@@ -163,6 +171,37 @@ def build_table(term: Term, bins: int, min_range: float, max_range: float) -> Li
     return LikelihoodTable(range_step, np.ascontiguousarray(backwards))
 
 
+def resolving_bins(terms: Sequence[Term], bins: int, min_range: float, max_range: float) -> int:
+    """Orientation bins that resolve the terms: ``bins`` or a small multiple of it.
+
+    Between its bins a belief is interpolated; where a term has kinks narrower than a bin, many
+    measurements would add up their interpolation errors.
+    """
+    ranges = np.linspace(min_range, max_range, 12)
+    for factor in range(1, _MOST_BINS):
+        count = bins * factor
+        errors = [_aspect_error(term, ranges, count) for term in terms if len(term.classes)]
+        if max(errors, default=0.0) <= _BIN_TOLERANCE:
+            return count
+    return bins * _MOST_BINS
+
+
+def _aspect_error(term: Term, ranges: FloatArray, count: int) -> float:
+    """Greatest error of a spline through ``count`` aspects, half-way between them."""
+    aspects = _circle(count)
+    samples = _evaluate(term, ranges, aspects)
+    coefficients = spline_filter1d(samples, order=5, axis=2, mode="grid-wrap")
+    between = correlate1d(coefficients, _HALF_WAY, axis=2, mode="wrap", origin=-1)
+    error = np.abs(between - _evaluate(term, ranges, aspects + aspects[1] / 2.0))
+    return float((error / _error_growth(samples)).max())
+
+
+def _error_growth(samples: FloatArray) -> FloatArray:
+    """How much more an error may be where the likelihood is low, (k, ranges, aspects)."""
+    depth = samples.max(axis=(0, 2), keepdims=True) - samples
+    return np.asarray(np.exp(np.clip((depth - _DEPTH) / 2.0, 0.0, 100.0)))
+
+
 def _refinement(error: float) -> float:
     """How much finer an axis must be: the error falls with the sixth power of the spacing."""
     return float(np.clip(1.05 * error ** (1.0 / 6.0), 1.0, 4.0)) if error > 1.0 else 1.0
@@ -196,13 +235,11 @@ def _interpolation_errors(
 
     def midpoints(axis: int) -> FloatArray:
         """Spline values half-way to the next node along one axis, at the nodes of the other."""
-        half = np.array([1.0, 237.0, 1682.0, 1682.0, 237.0, 1.0]) / 3840.0
         whole = np.array([1.0, 26.0, 66.0, 26.0, 1.0]) / 120.0
-        along = correlate1d(coefficients, half, axis=axis, mode="wrap", origin=-1)
+        along = correlate1d(coefficients, _HALF_WAY, axis=axis, mode="wrap", origin=-1)
         return np.asarray(correlate1d(along, whole, axis=3 - axis, mode="wrap"))
 
-    depth = samples.max(axis=(0, 2), keepdims=True) - samples
-    allowed = _TOLERANCE * np.exp(np.clip((depth - _DEPTH) / 2.0, 0.0, 100.0))
+    allowed = _TOLERANCE * _error_growth(samples)
     used = slice(int(np.searchsorted(ranges, min_range)), len(ranges) - _PADDING)
     half_range = _evaluate(term, ranges + (ranges[1] - ranges[0]) / 2.0, aspects)
     half_aspect = _evaluate(term, ranges, aspects + aspects[1] / 2.0)
