@@ -1,16 +1,21 @@
-"""The main job: a log in, the same log with beliefs out."""
+"""The main job: a log or measurements in, beliefs out, in memory and as channels of a log."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import itertools
+import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeAlias
 
 from mclass.config.find import MODEL_FILE_NAME, find_model
-from mclass.config.model_file import load_model
-from mclass.errors import LogError
+from mclass.config.model_file import load_model, parse_model
+from mclass.errors import LogError, UsageError
+from mclass.findings import Estimate
 from mclass.inference import (
     UNEXPLAINED,
     GridEstimate,
@@ -19,42 +24,19 @@ from mclass.inference import (
     estimate_objects,
     prepare,
 )
-from mclass.logs.measurements import LogContents, read_measurements
+from mclass.logs.measurements import read_measurements
 from mclass.logs.reader import LogReader
 from mclass.logs.times import find_time_bound
 from mclass.logs.writer import LogWriter
 from mclass.model import Model
-from mclass.outputs.channels import OutputChannels
-from mclass.results import ClassMaps, ObjectEstimate
+from mclass.outputs.channels import Encoding, OutputChannels
+from mclass.records import LabelMeasurements
+from mclass.results import ObjectEstimate
+
+ModelSource: TypeAlias = "Model | str | os.PathLike[str]"
+"""A model, the path of a model file, or the text of one (recognised by its line breaks)."""
 
 _HASH_BLOCK = 1 << 20
-
-
-@dataclass(frozen=True)
-class EstimateReport:
-    """What a run did.
-
-    Attributes:
-        input: The log.
-        output: The log with the new channels.
-        model: The model in force.
-        contents: What was read and what was left out.
-        used: Measurements that took part.
-        skipped: Detections that did not, by reason.
-        objects: Every object's last estimate, by id.
-        maps: The class maps at the end; None if no measurement points anywhere.
-        damage: Sentences on parts of the log that could not be used.
-    """
-
-    input: Path
-    output: Path
-    model: Model
-    contents: LogContents
-    used: int
-    skipped: Mapping[str, int]
-    objects: tuple[ObjectEstimate, ...]
-    maps: ClassMaps | None
-    damage: tuple[str, ...]
 
 
 def default_output(log: Path) -> Path:
@@ -62,31 +44,37 @@ def default_output(log: Path) -> Path:
     return log.with_name(f"{log.stem}.mclass.mcap")
 
 
-def model_for(reader: LogReader, model_path: Path | None) -> Model:
-    """The model file that is named, or the one found for the log."""
-    if model_path is not None:
-        return load_model(model_path)
-    return find_model(reader.path, reader.attachment(MODEL_FILE_NAME))
+def model_of(source: ModelSource) -> Model:
+    """The model itself, or the one in a file or text.
+
+    Raises:
+        ConfigError: If the file or text is wrong.
+    """
+    if isinstance(source, Model):
+        return source
+    if isinstance(source, str) and "\n" in source:
+        return parse_model(source, "model")
+    return load_model(Path(source))
 
 
-def run(
-    log: Path,
+def estimate(
+    log: str | os.PathLike[str],
+    model: ModelSource | None = None,
     *,
-    model_path: Path | None = None,
-    output: Path | None = None,
+    output: str | os.PathLike[str] | None = None,
     start: str | None = None,
     end: str | None = None,
     every_s: float | None = None,
     prefix: str = "/mclass",
     overwrite: bool = False,
-) -> EstimateReport:
-    """Estimate every object and every cell of a log and write the result beside it.
+) -> Estimate:
+    """Estimate every object and every cell of a log.
 
     Args:
-        log: MCAP file.
-        model_path: Model file; found beside the log, in the working directory or in the log
-            when None.
-        output: Where to write; `default_output` when None.
+        log: MCAP file; never touched.
+        model: A model, the path of a model file or its text. Without it: ``mclass.yaml`` beside
+            the log, in the working directory, or attached to the log.
+        output: Where to write the log together with the results; None writes nothing.
         start: Messages logged before are ignored: nanoseconds, RFC 3339 or ``+10s``.
         end: Messages logged after are ignored.
         every_s: Maps and full beliefs are also written every so many seconds.
@@ -97,9 +85,11 @@ def run(
         ConfigError: The model is wrong or missing.
         LogError: The log cannot be used, or the output cannot be written.
     """
-    output = default_output(log) if output is None else output
     with LogReader.open(log) as reader:
-        model = model_for(reader, model_path)
+        if model is None:
+            model = find_model(reader.path, reader.attachment(MODEL_FILE_NAME))
+        else:
+            model = model_of(model)
         first = reader.start_ns or 0
         contents = read_measurements(
             reader,
@@ -108,68 +98,153 @@ def run(
             None if end is None else find_time_bound(end, first),
         )
         problem = prepare(model, contents.measurements)
-        skipped = dict(contents.tally.counts)
-        unexplained = len(contents.measurements) - len(problem.used)
-        if unexplained:
-            skipped[UNEXPLAINED] = unexplained
+        skipped = _skipped(problem, contents.tally.counts)
         if skipped and len(problem.used) == 0:
             reasons = "; ".join(f"{count} {reason}" for reason, count in skipped.items())
             raise LogError(f"no detection can be used: {reasons}", path=str(log))
-        with (
-            ThreadPoolExecutor(max_workers=1) as pool,
-            LogWriter(output, source=reader, profile=reader.profile, overwrite=overwrite) as writer,
-        ):
-            digest = pool.submit(_sha256, reader)
-            channels = OutputChannels(
-                writer, contents.encoding, contents.frame, model, prefix=prefix
-            )
-            objects, maps = _write_results(problem, channels, every_s)
-            settings = {
-                "preset": model.inference.preset,
-                "start": start,
-                "end": end,
-                "every_s": every_s,
-                "input": log.name,
-            }
-            log_time_ns = reader.end_ns or 0
-            input_hash = f"sha256:{digest.result()}"
-            channels.write_header(log_time_ns, input_hash=input_hash, settings=settings)
-            channels.write_layout(log_time_ns)
-        return EstimateReport(
-            input=log,
-            output=output,
-            model=model,
-            contents=contents,
-            used=len(problem.used),
+        input_hash = ""
+        if output is None:
+            found = _solve(problem, contents.frame, None, every_s)
+        else:
+            with (
+                ThreadPoolExecutor(max_workers=1) as pool,
+                LogWriter(
+                    Path(output), source=reader, profile=reader.profile, overwrite=overwrite
+                ) as writer,
+            ):
+                digest = pool.submit(_sha256, reader)
+                channels = OutputChannels(
+                    writer, contents.encoding, contents.frame, model, prefix=prefix
+                )
+                found = _solve(problem, contents.frame, channels, every_s)
+                settings = {
+                    "preset": model.inference.preset,
+                    "start": start,
+                    "end": end,
+                    "every_s": every_s,
+                    "input": reader.path.name,
+                }
+                log_time_ns = reader.end_ns or 0
+                input_hash = f"sha256:{digest.result()}"
+                channels.write_header(log_time_ns, input_hash=input_hash, settings=settings)
+                channels.write_layout(log_time_ns)
+        return replace(
+            found,
             skipped=skipped,
-            objects=objects,
-            maps=maps,
+            track=contents.track,
+            notes=contents.notes,
             damage=reader.damage.sentences,
+            input=reader.path,
+            input_hash=input_hash,
+            output=None if output is None else Path(output),
         )
 
 
-def _write_results(
-    problem: Problem, channels: OutputChannels, every_s: float | None
-) -> tuple[tuple[ObjectEstimate, ...], ClassMaps | None]:
-    """Estimate and write as results come; returns the last estimate of each object and map."""
+def infer(
+    measurements: LabelMeasurements,
+    model: ModelSource,
+    *,
+    output: str | os.PathLike[str] | None = None,
+    frame: str = "world",
+    encoding: Encoding = "ros2",
+    every_s: float | None = None,
+    prefix: str = "/mclass",
+    overwrite: bool = False,
+    settings: Mapping[str, Any] | None = None,
+) -> Estimate:
+    """Estimate every object and every cell from measurements.
+
+    Args:
+        measurements: From `mclass.arrays.measurements_from_arrays`, a log or an output.
+        model: A model, the path of a model file or its text.
+        output: Where to write a log that holds the results alone; None writes nothing.
+        frame: Name of the world frame that the measurements are in.
+        encoding: Of the output.
+        every_s: Maps and full beliefs are also written every so many seconds.
+        prefix: Of the topics.
+        overwrite: Replace an existing output.
+        settings: What else the output's metadata record shall say.
+
+    Raises:
+        ConfigError: The model is wrong.
+        UsageError: The measurements know other labels than the model.
+        LogError: The output cannot be written.
+    """
+    model = model_of(model)
+    if measurements.label_names != model.classes.label_names:
+        raise UsageError(
+            f"the measurements' labels {', '.join(measurements.label_names)} are not those of "
+            f"{model.name}: {', '.join(model.classes.label_names)}"
+        )
+    problem = prepare(model, measurements)
+    with contextlib.ExitStack() as stack:
+        channels = None
+        if output is not None:
+            profile = "ros2" if encoding == "ros2" else ""
+            writer = stack.enter_context(
+                LogWriter(Path(output), profile=profile, overwrite=overwrite)
+            )
+            channels = OutputChannels(writer, encoding, frame, model, prefix=prefix)
+        found = _solve(problem, frame, channels, every_s)
+        if channels is not None:
+            log_time_ns = int(measurements.frames.log_times_ns.max(initial=0))
+            channels.write_header(
+                log_time_ns,
+                settings={"preset": model.inference.preset, "every_s": every_s, **(settings or {})},
+            )
+            channels.write_layout(log_time_ns)
+    return replace(found, output=None if output is None else Path(output))
+
+
+def _skipped(problem: Problem, counts: Mapping[str, int]) -> dict[str, int]:
+    """Detections left out while reading, and those that no class explains."""
+    skipped = dict(counts)
+    unexplained = len(problem.measurements) - len(problem.used)
+    if unexplained:
+        skipped[UNEXPLAINED] = unexplained
+    return skipped
+
+
+def _solve(
+    problem: Problem, frame: str, channels: OutputChannels | None, every_s: float | None
+) -> Estimate:
+    """Estimate, writing results as they come if there is somewhere to write them."""
     measurements = problem.measurements
-    channels.write_measurements(measurements)
-    latest: dict[str, ObjectEstimate] = {}
     updates, beliefs = estimate_objects(problem)
-    for update in updates:
-        latest[update.object_id] = update
-        channels.write_objects(list(latest.values()), update.log_time_ns, update.stamp_ns)
     period_ns = None if every_s is None else max(1, round(every_s * 1e9))
     grid = GridEstimate(problem, cuts_every(measurements, period_ns))
-    for block in grid.blocks():
-        channels.write_belief(block)
-    for belief in beliefs:
-        channels.write_belief(belief)
-    maps = grid.maps()
-    for written in maps:
-        channels.write_maps(written)
-    ordered = tuple(latest[key] for key in sorted(latest))
-    return ordered, maps[-1] if maps else None
+    blocks = itertools.chain(grid.blocks(), beliefs)
+    if channels is None:
+        for _ in blocks:
+            pass
+        maps = grid.maps()
+    else:
+        channels.write_measurements(measurements)
+        latest: dict[str, ObjectEstimate] = {}
+        for update in updates:
+            latest[update.object_id] = update
+            channels.write_objects(list(latest.values()), update.log_time_ns, update.stamp_ns)
+        for block in blocks:
+            channels.write_belief(block)
+        maps = grid.maps()
+        for written in maps:
+            channels.write_maps(written)
+    history: dict[str, list[ObjectEstimate]] = {}
+    for update in updates:
+        history.setdefault(update.object_id, []).append(update)
+    ids = sorted(history)
+    return Estimate(
+        model=problem.model,
+        frame=frame,
+        objects=tuple(history[key][-1] for key in ids),
+        history={key: tuple(history[key]) for key in ids},
+        object_beliefs={
+            belief.object_id: belief for belief in sorted(beliefs, key=lambda b: b.object_id)
+        },
+        maps=maps[-1] if maps else None,
+        skipped=_skipped(problem, {}),
+        problem=problem,
+    )
 
 
 def _sha256(reader: LogReader) -> str:

@@ -66,14 +66,16 @@ def estimate(
       mclass estimate drive.mcap -c boxes.yaml -o result.mcap --every 10
       mclass estimate drive.mcap -S +30s -E +90s --format json
     """
-    from mclass.pipeline import run
+    from mclass.pipeline import default_output
+    from mclass.pipeline import estimate as estimate_log
     from mclass.text.documents import estimate_json
     from mclass.text.reports import estimate_text
     from mclass.text.terminal import Terminal
 
-    report = run(
+    output = default_output(log) if output is None else output
+    found = estimate_log(
         log,
-        model_path=model_path,
+        model_path,
         output=output,
         start=start,
         end=end,
@@ -82,16 +84,16 @@ def estimate(
         overwrite=overwrite,
     )
     facts: dict[str, Any] = {
-        "input_path": str(report.input),
-        "output_path": str(report.output),
-        "model_name": report.model.name,
-        "used": report.used,
-        "skipped": report.skipped,
-        "objects": report.objects,
-        "class_names": report.model.classes.class_names,
-        "frame": report.contents.frame,
-        "damage": report.damage,
-        "notes": report.contents.notes,
+        "input_path": str(log),
+        "output_path": str(output),
+        "model_name": found.model.name,
+        "used": found.used,
+        "skipped": found.skipped,
+        "objects": found.objects,
+        "class_names": found.class_names,
+        "frame": found.frame,
+        "damage": found.damage,
+        "notes": found.notes,
     }
     if output_format == "json":
         echo_json(estimate_json(**facts))
@@ -102,20 +104,18 @@ def estimate(
         from mclass.plot.maps import map_figure, ray_segments
         from mclass.plot.style import save_figure
 
-        if report.maps is None:
+        if found.maps is None:
             raise UsageError("nothing to draw: no detection points anywhere on the grid")
         figure = map_figure(
-            report.maps,
-            report.model.classes.class_names,
-            report.contents.frame,
-            objects=report.objects,
-            track=report.contents.track,
+            found.maps,
+            found.class_names,
+            found.frame,
+            objects=found.objects,
+            track=found.track,
             rays=ray_segments(
-                report.contents.measurements,
-                report.model.grid.max_range,
-                report.model.grid.footprint,
+                found.measurements, found.model.grid.max_range, found.model.grid.footprint
             ),
         )
         save_figure(figure, plot_path)
-    if report.damage:
+    if found.damage:
         ctx.exit(3)
