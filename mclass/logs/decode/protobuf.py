@@ -167,7 +167,9 @@ class _Walk:
         values = read_words(self.buffer, found.at, dtype)
         if leaf.repeated or dtype == np.uint64:
             return values
-        return values.astype(np.float64 if dtype.kind == "f" else np.int64)
+        # A signalling NaN is worth no warning; it becomes a plain one.
+        with np.errstate(invalid="ignore"):
+            return values.astype(np.float64 if dtype.kind == "f" else np.int64)
 
     def number_lists(self, leaf: Leaf, cut: Cut, number: int, rows: _Rows) -> Column:
         """Numbers of a repeated field, which are packed or have a record each."""
