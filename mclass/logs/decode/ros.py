@@ -352,7 +352,9 @@ class _Skipper:
 def _widen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Single numbers as float64 or int64; truth values and uint64 stay."""
     if values.dtype.kind == "f":
-        return values.astype(np.float64)
+        # A signalling NaN is worth no warning; it becomes a plain one.
+        with np.errstate(invalid="ignore"):
+            return values.astype(np.float64)
     if values.dtype.kind in "iu" and values.dtype != np.uint64:
         return values.astype(np.int64)
     return values
