@@ -22,9 +22,10 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
+import itertools
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from pathlib import Path
 from types import TracebackType
 
@@ -69,6 +70,24 @@ _HIDDEN_IDS = (1 << 15) - 1
 _pack_message_head = struct.Struct("<BQHIQQ").pack
 
 
+class _Ids:
+    """Numbers for channels or schemas that no other bears.
+
+    Args:
+        taken: In use.
+        hidden: The first numbers are taken after this one, and those up to it last.
+    """
+
+    def __init__(self, taken: Set[int], hidden: int = 0) -> None:
+        last = max(hidden, *taken, 0)
+        numbers = itertools.chain(range(last + 1, _MAX_ID + 1), range(1, last + 1))
+        self._free = (number for number in numbers if number not in taken)
+
+    def next(self) -> int:
+        """A free number; raises StopIteration when there is none."""
+        return next(self._free)
+
+
 class LogWriter:
     """A log being written; a context manager.
 
@@ -104,9 +123,9 @@ class LogWriter:
         self._position = 0
         self._crc: int | None = 0
         self._contents = Contents()
-        self._schema_ids: dict[tuple[str, str, bytes], int] = {}
+        self._known_schemas: dict[tuple[str, str, bytes], int] = {}
         self._sequences: dict[int, int] = {}
-        self._last_schema_id = self._last_channel_id = 0
+        self._schema_ids, self._channel_ids = _Ids(set()), _Ids(set())
         self._chunk = bytearray()
         self._starts: list[int] = []
 
@@ -161,8 +180,14 @@ class LogWriter:
         Raises:
             LogError: If the log has as many channels as the format allows.
         """
-        schema_id = self._schema_id(schema_name, schema_encoding, schema_data)
-        self._last_channel_id = channel_id = self._next_id(self._last_channel_id, topic)
+        try:
+            schema_id = self._schema_id(schema_name, schema_encoding, schema_data)
+            channel_id = self._channel_ids.next()
+        except StopIteration:
+            raise LogError(
+                f"there is no number left for {topic}: MCAP allows 65,535 channels and schemas.",
+                path=str(self.path),
+            ) from None
         pairs = b"".join(
             pack_string(key) + pack_string(value) for key, value in (metadata or {}).items()
         )
@@ -256,15 +281,19 @@ class LogWriter:
         contents = self._contents
         contents.schemas = {key: index.schemas[key].raw for key in sorted(index.schemas)}
         contents.channels = {key: index.channels[key].raw for key in sorted(index.channels)}
-        self._schema_ids = {
+        self._known_schemas = {
             (schema.name, schema.encoding, schema.data): schema.id
             for schema in index.schemas.values()
             if schema.id
         }
-        # Without a summary there may be ids in chunks that were not opened: keep clear of them.
-        hidden = 0 if index.summarised else _HIDDEN_IDS
-        self._last_schema_id = max(hidden, *index.schemas, 0)
-        self._last_channel_id = max(hidden, *index.channels, 0)
+        counted = {channel for entry in index.chunks for channel in entry.counts or ()}
+        # Ids may be in use that nothing readable defines: keep clear of them, or messages whose
+        # channel is lost would turn up in a new one.
+        told = index.summarised and all(map(index.defines, counted))
+        hidden = 0 if told else _HIDDEN_IDS
+        self._channel_ids = _Ids({*index.channels, *counted}, hidden)
+        named = {channel.schema_id for channel in index.channels.values()}
+        self._schema_ids = _Ids({*index.schemas, *named}, hidden)
 
         shifts = self._copy_records(reader)
         for entry in index.chunks:
@@ -325,24 +354,16 @@ class LogWriter:
     def _schema_id(self, name: str, encoding: str, data: bytes) -> int:
         if not name:
             return 0
-        known = self._schema_ids.get((name, encoding, data))
+        known = self._known_schemas.get((name, encoding, data))
         if known is not None:
             return known
-        self._last_schema_id = schema_id = self._next_id(self._last_schema_id, name)
+        schema_id = self._schema_ids.next()
         content = struct.pack("<H", schema_id) + pack_string(name) + pack_string(encoding)
         record = pack_record(Opcode.SCHEMA, content + struct.pack("<I", len(data)) + data)
         self._contents.schemas[schema_id] = record
-        self._schema_ids[name, encoding, data] = schema_id
+        self._known_schemas[name, encoding, data] = schema_id
         self._chunk += record
         return schema_id
-
-    def _next_id(self, last: int, name: str) -> int:
-        if last >= _MAX_ID:
-            raise LogError(
-                f"there is no number left for {name}: MCAP allows 65,535 channels and schemas.",
-                path=str(self.path),
-            )
-        return last + 1
 
     def _flush_chunk(self) -> None:
         data = bytes(self._chunk)

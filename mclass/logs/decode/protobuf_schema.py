@@ -123,7 +123,7 @@ def read_schema(name: str, data: bytes) -> tuple[Node, dict[str, str]]:
         raise LogError(f"schema {name!r} is not a protobuf FileDescriptorSet.") from error
     reader = _Reader()
     for file in files:
-        package = f"{file.package}." if file.package else ""
+        package = f"{_text(file.package)}." if file.package else ""
         reader.add_types(package, file.message_type, file.enum_type)
     if name not in reader.messages:
         raise LogError(f"schema {name!r} does not define the message it is named after.")
@@ -148,9 +148,9 @@ class _Reader:
     ) -> None:
         """Take note of the types of a file or message, nested ones included."""
         for enum in enums:
-            self.enums[package + enum.name] = enum
+            self.enums[package + _text(enum.name)] = enum
         for message in messages:
-            name = package + message.name
+            name = package + _text(message.name)
             self.messages[name] = message
             self.add_types(f"{name}.", message.nested_type, message.enum_type)
 
@@ -165,8 +165,8 @@ class _Reader:
             if item.number in fields:
                 raise LogError(f"{name} has two fields of number {item.number}.")
             repeated = item.label == _Type.LABEL_REPEATED
-            path = f"{prefix}{item.name}{'[]' if repeated else ''}"
-            inner = item.type_name.lstrip(".")
+            path = f"{prefix}{_text(item.name)}{'[]' if repeated else ''}"
+            inner = _text(item.type_name).lstrip(".")
             if item.type == _Type.TYPE_MESSAGE and inner not in STAMPS:
                 if inner not in self.messages:
                     raise LogError(f"{name}.{item.name} is a {inner!r}, which is not defined.")
@@ -183,7 +183,7 @@ class _Reader:
 
     def default(self, item: FieldDescriptorProto, kind: str) -> Any:
         """What a message means that leaves the field out."""
-        text = item.default_value
+        text = _text(item.default_value)
         if item.type == _Type.TYPE_ENUM:
             enum = self.enums.get(item.type_name.lstrip("."))
             values = {value.name: value.number for value in enum.value} if enum else {}
@@ -199,3 +199,10 @@ class _Reader:
             return float(text or 0) if kind == "float" else int(text or 0)
         except ValueError as error:
             raise LogError(f"the default {text[:40]!r} of {item.name!r} is no {kind}.") from error
+
+
+def _text(name: str | bytes) -> str:
+    """A name in a descriptor, which comes as bytes when it is not UTF-8."""
+    if isinstance(name, bytes):
+        raise LogError(f"the schema holds a name that is not UTF-8: {name[:40]!r}.")
+    return name
