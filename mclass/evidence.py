@@ -8,7 +8,7 @@ for models whose viewpoints have a bearing term). Both add the same terms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -22,6 +22,9 @@ _DENSE_SHARE = 0.1
 """Above this filling a matrix product is faster dense than sparse."""
 
 _DENSE_BYTES = 2**22
+_SPREADS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8)
+"""Standard deviations of the sensor's position [m] for which terms are tabulated."""
+
 _PAIRS_AT_ONCE = 2**13
 
 
@@ -53,6 +56,14 @@ class Pairs:
             directions=self.directions[kept],
             scale=None if self.scale is None else self.scale[kept],
         )
+
+    def weighed(self, weights: FloatArray) -> Pairs:
+        """Pairs of positive weight, (p,), their scale multiplied by it."""
+        chosen = self.select(weights > 0.0)
+        weights = weights[weights > 0.0]
+        if (weights == 1.0).all():
+            return chosen
+        return replace(chosen, scale=weights if chosen.scale is None else chosen.scale * weights)
 
     @property
     def counts(self) -> IntArray:
@@ -97,7 +108,9 @@ class Engine:
         n_classes: Without the background.
         bins: Orientation bins in which evidence is summed.
         pointing: Where the looks were taken from.
-        has_term: Whether a look adds a term, (looks, terms).
+        term_weights: How much of each term a look adds, 0 for nothing, (looks, terms).
+        position_covariances: Of the sensor in the world [m²], (looks, 2, 2), widening every
+            viewpoint; None for exact poses.
         reported_bins: Bins that beliefs are reported in, a divisor of ``bins``; 0 for all.
     """
 
@@ -105,9 +118,10 @@ class Engine:
     n_classes: int
     bins: int
     pointing: Pointing
-    has_term: BoolArray
+    term_weights: FloatArray
+    position_covariances: FloatArray | None = None
     reported_bins: int = 0
-    _tables: dict[tuple[int, int], LikelihoodTable] = field(default_factory=dict)
+    _tables: dict[tuple[int, int, int], LikelihoodTable] = field(default_factory=dict)
 
     @property
     def shown_bins(self) -> int:
@@ -126,10 +140,10 @@ class Engine:
         rows = len(pairs.starts) - 1
         classes = np.zeros((rows, self.n_classes, self.bins))
         background = np.zeros(rows)
-        present = np.flatnonzero(self.has_term[np.unique(pairs.looks)].any(axis=0))
+        present = np.flatnonzero(self.term_weights[np.unique(pairs.looks)].any(axis=0))
         for index in present:
             term = self.terms[index]
-            chosen = pairs.select(self.has_term[pairs.looks, index])
+            chosen = pairs.weighed(self.term_weights[pairs.looks, index])
             weights = _row_weights(chosen)
             background += weights * term.background
             others = np.ones(self.n_classes, dtype=bool)
@@ -159,7 +173,8 @@ class Engine:
             bearings = np.broadcast_to(
                 (pairs.directions[part] + np.pi - headings)[:, None], aspects.shape
             )
-            values = term.log_likelihood(views, bearings).transpose(1, 0, 2)
+            spread = self._spread(pairs.looks[part], orientations)
+            values = term.log_likelihood(views, bearings, spread).transpose(1, 0, 2)
             if pairs.scale is not None:
                 values = values * pairs.scale[part, None, None]
             first = np.flatnonzero(np.diff(owners[part], prepend=-1))
@@ -173,18 +188,44 @@ class Engine:
         shape = (rows, len(term.classes), self.bins)
         if len(pairs.ranges) == 0:
             return np.zeros(shape)
-        table = self._table(term, float(pairs.ranges.max()))
-        weights = table.weights(pairs.starts, pairs.ranges, pairs.directions, pairs.scale)
-        return _product(weights, table).reshape(shape)
+        total = np.zeros(shape)
+        levels = self._spread_levels(pairs.looks)
+        for level in np.unique(levels):
+            part = pairs.select(levels == level)
+            table = self._table(term, float(part.ranges.max()), int(level))
+            weights = table.weights(part.starts, part.ranges, part.directions, part.scale)
+            total += _product(weights, table).reshape(shape)
+        return total
 
-    def _table(self, term: Term, farthest: float) -> LikelihoodTable:
+    def _table(self, term: Term, farthest: float, spread: int) -> LikelihoodTable:
         """A table that reaches the maximal range, doubled as often as a pair lies beyond."""
-        level = max(0, int(np.ceil(np.log2(max(farthest / self.pointing.max_range, 1.0)))))
-        key = (term.index, level)
+        doublings = max(0, int(np.ceil(np.log2(max(farthest / self.pointing.max_range, 1.0)))))
+        key = (term.index, doublings, spread)
         if key not in self._tables:
-            reach = self.pointing.max_range * 2.0**level
-            self._tables[key] = build_table(term, self.bins, self.pointing.min_range, reach)
+            reach = self.pointing.max_range * 2.0**doublings
+            variance = _SPREADS[spread] ** 2
+            self._tables[key] = build_table(
+                term, self.bins, self.pointing.min_range, reach, variance
+            )
         return self._tables[key]
+
+    def _spread(self, looks: IntArray, orientations: FloatArray) -> FloatArray | None:
+        """Position covariances turned into the frame of each orientation, (p, bins, 2, 2)."""
+        if self.position_covariances is None:
+            return None
+        cosine, sine = np.cos(orientations), np.sin(orientations)
+        to_world = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2)
+        covariances = self.position_covariances[looks][:, None]
+        return np.asarray(to_world.swapaxes(-1, -2) @ covariances @ to_world)
+
+    def _spread_levels(self, looks: IntArray) -> IntArray:
+        """The tabulated spread nearest to the position uncertainty of each look, (p,)."""
+        if self.position_covariances is None:
+            return np.zeros(len(looks), dtype=np.int64)
+        trace = np.trace(self.position_covariances, axis1=1, axis2=2)
+        deviations = np.sqrt(trace / 2.0)
+        middles = (np.array(_SPREADS[1:]) + np.array(_SPREADS[:-1])) / 2.0
+        return np.asarray(np.searchsorted(middles, deviations)[looks])
 
 
 def _row_weights(pairs: Pairs) -> FloatArray:

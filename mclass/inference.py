@@ -11,10 +11,10 @@ from mclass.evidence import Engine
 from mclass.footprint import Grid, Pointing, covering_grid
 from mclass.gridmap import grid_beliefs
 from mclass.looks import Looks, object_looks
-from mclass.model import Model
+from mclass.model import PAPER, InferenceSettings, Model
 from mclass.objects import ObjectFilter, known_position, pointed_cells
 from mclass.observation import Recognition, paper_terms, robust_terms
-from mclass.records import BoolArray, FloatArray, IntArray, LabelMeasurements
+from mclass.records import BoolArray, FloatArray, Frames, IntArray, LabelMeasurements
 from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
 from mclass.summary import summarise
 from mclass.table import resolving_bins
@@ -46,7 +46,7 @@ class Problem:
 def prepare(model: Model, measurements: LabelMeasurements) -> Problem:
     """Set up inference; a label set that no class can return takes part in nothing."""
     settings, frames = model.inference, measurements.frames
-    returned = _label_matrix(measurements)
+    returned = _label_weights(PAPER, measurements) > 0.0
     used = np.arange(len(measurements))
     if not settings.probabilities:
         used = np.flatnonzero(_explainable(model, returned))
@@ -63,15 +63,20 @@ def prepare(model: Model, measurements: LabelMeasurements) -> Problem:
         max_range=model.grid.max_range,
         rays=model.grid.footprint == "ray",
     )
-    looks = Looks(pointing, owners, frames.stamps_ns[owners], len(measurements), settings)
+    covariances = _covariances(settings, frames)
+    if covariances is not None:
+        covariances = covariances[owners]
+    looks = Looks(
+        pointing, owners, frames.stamps_ns[owners], len(measurements), settings, covariances
+    )
     if settings.probabilities:
         recognition = Recognition(settings.detection_probability, settings.false_alarm)
         terms = robust_terms(model.classes, recognition)
     else:
         terms = paper_terms(model.classes)
-    has_term = np.zeros((len(owners), len(terms)), dtype=bool)
-    has_term[: len(measurements), : returned.shape[1]] = returned
-    has_term[len(measurements) :, returned.shape[1] :] = True
+    term_weights = np.zeros((len(owners), len(terms)))
+    term_weights[: len(measurements), : returned.shape[1]] = _label_weights(settings, measurements)
+    term_weights[len(measurements) :, returned.shape[1] :] = 1.0
     engine = Engine(
         terms=terms,
         n_classes=len(model.classes.class_names),
@@ -79,19 +84,36 @@ def prepare(model: Model, measurements: LabelMeasurements) -> Problem:
             terms, model.grid.orientation_bins, model.grid.min_range, model.grid.max_range
         ),
         pointing=pointing,
-        has_term=has_term,
+        term_weights=term_weights,
+        position_covariances=None if covariances is None else covariances[:, :2, :2],
         reported_bins=model.grid.orientation_bins,
     )
     grid = _grid(model, pointing.select(np.arange(len(measurements))))
     return Problem(model, measurements, used, looks, engine, grid)
 
 
-def _label_matrix(measurements: LabelMeasurements) -> BoolArray:
-    """Whether each measurement returned each label, (n, labels)."""
-    matrix = np.zeros((len(measurements), len(measurements.label_names)), dtype=bool)
+def _label_weights(settings: InferenceSettings, measurements: LabelMeasurements) -> FloatArray:
+    """How much each label of each measurement counts, 0 if not returned, (n, labels)."""
+    matrix = np.zeros((len(measurements), len(measurements.label_names)))
     owners = np.repeat(np.arange(len(measurements)), np.diff(measurements.label_offsets))
-    matrix[owners, measurements.labels] = True
+    weights = np.ones(len(owners))
+    if settings.score_weights:
+        scores, levels = np.array(settings.score_weights).T
+        weights = np.interp(measurements.scores, scores, levels)
+    matrix[owners, measurements.labels] = weights
     return matrix
+
+
+def _covariances(settings: InferenceSettings, frames: Frames) -> FloatArray | None:
+    """Covariance of the pose of every frame, drift included, (f, 3, 3); None if not wanted."""
+    if not settings.pose_uncertainty or len(frames) == 0:
+        return None
+    if frames.covariances is None and settings.drift == 0.0:
+        return None
+    known = np.zeros((len(frames), 3, 3)) if frames.covariances is None else frames.covariances
+    seconds = (frames.stamps_ns - frames.stamps_ns[0]) * 1e-9
+    drift = (settings.drift**2 * seconds)[:, None, None] * np.diag([1.0, 1.0, 0.0])
+    return np.asarray(known + drift)
 
 
 def _explainable(model: Model, has_label: BoolArray) -> BoolArray:

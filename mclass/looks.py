@@ -31,6 +31,7 @@ class Looks:
         stamps_ns: (n + f,).
         n_detections: n.
         settings: How evidence is weighed.
+        covariances: Of the sensor's pose in the world, (n + f, 3, 3), or None.
     """
 
     pointing: Pointing
@@ -38,6 +39,7 @@ class Looks:
     stamps_ns: IntArray
     n_detections: int
     settings: InferenceSettings
+    covariances: FloatArray | None = None
 
     def frame_looks(self, frames: IntArray) -> IntArray:
         """The looks that are these frames."""
@@ -176,9 +178,7 @@ class ObjectLooks:
             speaks[:, silent] = self._could_show(seen.select_looks(silent), rows[silent])
         log_factor = np.zeros(seen.inside.shape)
         pointed = np.flatnonzero(located)
-        log_factor[:, pointed] = self._log_factor(
-            seen.select_looks(pointed), pointing.select(pointed)
-        )
+        log_factor[:, pointed] = self._log_factor(seen.select_looks(pointed), rows[pointed])
         return Concern(seen, speaks, is_detection, located, log_factor)
 
     def pairs(self, centers: FloatArray, cell_size: float) -> Pairs:
@@ -198,16 +198,31 @@ class ObjectLooks:
             scale = [weights[:, column]]
         return joined_pairs([concern.seen], [self.rows], [concern.speaks], scale)
 
-    def _log_factor(self, seen: Sight, pointing: Pointing) -> FloatArray:
+    def _log_factor(self, seen: Sight, rows: IntArray) -> FloatArray:
         """What it costs cells that detections point elsewhere, (m, k)."""
-        settings = self.looks.settings
+        settings, pointing = self.looks.settings, self.looks.pointing.select(rows)
         log_factor = np.where(seen.inside, 0.0, settings.log_outside)
-        if settings.pointing_std > 0.0:
+        variance = self._direction_variance(seen, rows)
+        if np.any(variance > 0.0):
             excess = _off_axis(seen.directions, pointing.axes) - pointing.widths / 2.0
-            soft = np.maximum(-0.5 * (excess / settings.pointing_std) ** 2, settings.log_outside)
+            soft = np.maximum(-0.5 * excess**2 / variance, settings.log_outside)
             in_range = (seen.ranges >= pointing.min_range) & (seen.ranges <= pointing.max_range)
             log_factor = np.where(~seen.inside & in_range, soft, log_factor)
         return log_factor
+
+    def _direction_variance(self, seen: Sight, rows: IntArray) -> FloatArray:
+        """Variance of the direction to each cell [rad²], (m, k): box edges, heading, position."""
+        variance = np.full(seen.ranges.shape, self.looks.settings.pointing_std**2)
+        if self.looks.covariances is not None:
+            covariances = self.looks.covariances[rows]
+            sine, cosine = np.sin(seen.directions), np.cos(seen.directions)
+            across = (
+                sine**2 * covariances[:, 0, 0]
+                - 2.0 * sine * cosine * covariances[:, 0, 1]
+                + cosine**2 * covariances[:, 1, 1]
+            )
+            variance += covariances[:, 2, 2] + across / np.maximum(seen.ranges, 1e-9) ** 2
+        return variance
 
     def _could_show(self, seen: Sight, rows: IntArray) -> BoolArray:
         """Cells in view of frames and not where something else was detected, (m, k)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -98,6 +99,10 @@ class InferenceSettings:
             rule out the place that all others agree on.
         pointing_std: Standard deviation [rad] of a box's edges: beyond them the factor falls
             off as a Gaussian down to ``outside_probability``; 0 for at once.
+        pose_uncertainty: The covariance of the poses widens viewpoints and box edges.
+        drift: Rate of an unknown random walk of the poses [m/sqrt(s)], beside their covariance.
+        score_weights: (score, weight) points, increasing: what a label counts by its score,
+            linear between them and constant beyond; empty for 1 whatever the score.
     """
 
     preset: Literal["paper", "robust"] = "paper"
@@ -109,6 +114,9 @@ class InferenceSettings:
     correlation: tuple[float, float] | None = None
     outside_probability: float = 1e-9
     pointing_std: float = 0.0
+    pose_uncertainty: bool = False
+    drift: float = 0.0
+    score_weights: tuple[tuple[float, float], ...] = ()
 
     @property
     def log_outside(self) -> float:
@@ -124,6 +132,7 @@ ROBUST = InferenceSettings(
     correlation=(0.3, 0.15),
     outside_probability=1e-3,
     pointing_std=0.05,
+    pose_uncertainty=True,
 )
 
 
@@ -146,3 +155,8 @@ class Model:
     grid: GridSettings = GridSettings()
     inference: InferenceSettings = InferenceSettings()
     objects: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def hash(self) -> str:
+        """Of the text, as outputs and records of batches name it."""
+        return f"sha256:{hashlib.sha256(self.source.encode('utf-8', 'replace')).hexdigest()}"

@@ -136,12 +136,15 @@ def _quintic_weights(coordinates: FloatArray) -> tuple[npt.NDArray[np.int32], Fl
     return below.astype(np.int32), weights
 
 
-def build_table(term: Term, bins: int, min_range: float, max_range: float) -> LikelihoodTable:
+def build_table(
+    term: Term, bins: int, min_range: float, max_range: float, position_variance: float = 0.0
+) -> LikelihoodTable:
     """Tabulate a term for ranges from 0 to ``max_range`` [m] and ``bins`` orientations.
 
     The lattice starts from the narrowest viewpoint and is refined, range and direction apart,
     until interpolation is as good as the tolerance between the nodes from ``min_range`` on, or
-    the table's memory limit is reached.
+    the table's memory limit is reached. An isotropic variance of the sensor's position [m²]
+    widens every viewpoint.
     """
     deviations = [
         np.sqrt(np.linalg.eigvalsh(entry.mixture.covariances).min()) for entry in term.likelihoods
@@ -151,10 +154,10 @@ def build_table(term: Term, bins: int, min_range: float, max_range: float) -> Li
     while True:
         n_ranges = int(np.ceil(max_range / range_step)) + 1 + 2 * _PADDING
         ranges: FloatArray = range_step * np.arange(-_PADDING, n_ranges - _PADDING, dtype=float)
-        samples = _evaluate(term, ranges, _circle(n_directions))
+        samples = _evaluate(term, ranges, _circle(n_directions), position_variance)
         coefficients = _coefficients(samples)
         range_error, direction_error = _interpolation_errors(
-            term, ranges, samples, coefficients, min_range
+            term, ranges, samples, coefficients, min_range, position_variance
         )
         if max(range_error, direction_error) <= 1.0:
             break
@@ -212,13 +215,16 @@ def _circle(count: int) -> FloatArray:
     return np.asarray(2.0 * np.pi * np.arange(count) / count)
 
 
-def _evaluate(term: Term, ranges: FloatArray, aspects: FloatArray) -> FloatArray:
+def _evaluate(
+    term: Term, ranges: FloatArray, aspects: FloatArray, position_variance: float = 0.0
+) -> FloatArray:
     """The term at every pair of range and aspect, (k, ranges, aspects).
 
     A negative range is the view from the other side: the function goes on smoothly there.
     """
     directions = np.stack([np.cos(aspects), np.sin(aspects)], axis=-1)
-    return term.log_likelihood(ranges[:, None, None] * directions[None, :, :])
+    spread = np.eye(2) * position_variance if position_variance > 0.0 else None
+    return term.log_likelihood(ranges[:, None, None] * directions[None, :, :], None, spread)
 
 
 def _coefficients(samples: FloatArray) -> FloatArray:
@@ -228,7 +234,12 @@ def _coefficients(samples: FloatArray) -> FloatArray:
 
 
 def _interpolation_errors(
-    term: Term, ranges: FloatArray, samples: FloatArray, coefficients: FloatArray, min_range: float
+    term: Term,
+    ranges: FloatArray,
+    samples: FloatArray,
+    coefficients: FloatArray,
+    min_range: float,
+    position_variance: float,
 ) -> tuple[float, float]:
     """Greatest errors half-way between nodes along range and direction, in tolerances."""
     aspects = _circle(samples.shape[2])
@@ -241,8 +252,9 @@ def _interpolation_errors(
 
     allowed = _TOLERANCE * _error_growth(samples)
     used = slice(int(np.searchsorted(ranges, min_range)), len(ranges) - _PADDING)
-    half_range = _evaluate(term, ranges + (ranges[1] - ranges[0]) / 2.0, aspects)
-    half_aspect = _evaluate(term, ranges, aspects + aspects[1] / 2.0)
+    between = ranges + (ranges[1] - ranges[0]) / 2.0
+    half_range = _evaluate(term, between, aspects, position_variance)
+    half_aspect = _evaluate(term, ranges, aspects + aspects[1] / 2.0, position_variance)
     along_range = np.abs(midpoints(1) - half_range) / allowed
     along_aspect = np.abs(midpoints(2) - half_aspect) / allowed
     return float(along_range[:, used].max()), float(along_aspect[:, used].max())

@@ -7,6 +7,7 @@ in the mapping of key to reader, and `schemas/model.schema.json` a property.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from mclass.config.checks import (
     fields,
     integer,
     number,
+    several,
     switch,
     vector,
 )
@@ -147,6 +149,9 @@ def _inference(value: Value, unit: float) -> InferenceSettings:
         "correlation": correlation,
         "outside_probability": number(above=0.0, maximum=1.0),
         "pointing_std_deg": number(minimum=0.0, maximum=math.pi / 4.0, scale=degree),
+        "pose_uncertainty": switch,
+        "drift": distance,
+        "score_weights": _score_weights,
     }
     found = fields(value, readers)
     if "pointing_std_deg" in found:
@@ -155,6 +160,15 @@ def _inference(value: Value, unit: float) -> InferenceSettings:
     if inference.silence and not inference.probabilities:
         value.fail("silence can only count where labels have probabilities: set both or neither")
     return inference
+
+
+def _score_weights(value: Value) -> tuple[tuple[float, float], ...]:
+    """Points (score, weight), scores increasing."""
+    point = vector(number(minimum=0.0, maximum=1.0), "score", "weight")
+    points = tuple((score, weight) for score, weight in several(point, value.elements()))
+    if any(after[0] <= before[0] for before, after in itertools.pairwise(points)):
+        value.fail("scores must increase from point to point")
+    return points
 
 
 def _grid(value: Value, unit: float, n_classes: int) -> GridSettings:
