@@ -19,6 +19,7 @@ _COMMANDS: Mapping[str, str] = {
     "check": "mclass.commands.check:check",
     "inspect": "mclass.commands.inspect:inspect",
     "simulate": "mclass.commands.simulate:simulate",
+    "batch": "mclass.commands.batch:batch",
 }
 _DEBUG = "MCLASS_DEBUG"
 

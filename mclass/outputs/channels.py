@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -100,7 +99,7 @@ class OutputChannels:
             {
                 "version": mclass.__version__,
                 "model": self._model.name,
-                "model_hash": f"sha256:{hashlib.sha256(source).hexdigest()}",
+                "model_hash": self._model.hash,
                 "input_hash": input_hash,
                 "settings": json.dumps(settings or {}, sort_keys=True),
                 "encoding": self._encoding,

@@ -1,0 +1,143 @@
+"""Which logs a batch works on, and what their outputs are called."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mclass.batch.record import LogResult
+from mclass.errors import UsageError
+
+_LOG_SUFFIX = ".mcap"
+OUTPUT_SUFFIX = ".mclass.mcap"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One log to be done.
+
+    Attributes:
+        log: Where it is.
+        folder: Where the output goes.
+        entry: Its entry in the record, of an earlier run if there was one.
+    """
+
+    log: str
+    folder: str
+    entry: LogResult
+
+
+def find_logs(sources: Sequence[str], folder: Path) -> list[str]:
+    """Logs named by paths, folders and patterns; each once, in a fixed order.
+
+    Args:
+        sources: A folder stands for all logs in it and below, except hidden files and what
+            `mclass estimate` wrote. A pattern may hold ``*``, ``?``, ``[...]`` and ``**``.
+            A file that is not there is kept: that it cannot be read is one log's failure.
+        folder: The batch's own, in which nothing is looked for.
+
+    Raises:
+        UsageError: If a folder or pattern stands for no log at all.
+    """
+    own = os.path.realpath(folder)
+    logs: dict[str, str] = {}
+    for source in sources:
+        if os.path.isdir(source):
+            found, what = _logs_below(source, own), "holds no .mcap logs"
+        elif glob.has_magic(source) and not os.path.exists(source):
+            matches = sorted(glob.glob(source, recursive=True))
+            found = [path for path in matches if not _is_below(path, own)]
+            found = [
+                log
+                for path in found
+                for log in (_logs_below(path, own) if os.path.isdir(path) else [path])
+            ]
+            what = "matches nothing"
+        else:
+            found, what = [source], ""
+        if not found:
+            raise UsageError(f"{source}: {what}")
+        for path in found:
+            logs.setdefault(os.path.abspath(path), path)
+    return list(logs.values())
+
+
+def _logs_below(top: str, own: str) -> list[str]:
+    """All logs in a folder and below, sorted."""
+    logs = []
+    for folder, folders, files in os.walk(top):
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".") and os.path.realpath(os.path.join(folder, name)) != own
+        )
+        if os.path.realpath(folder) == own:
+            continue
+        logs += [
+            os.path.join(folder, name)
+            for name in sorted(files)
+            if name.lower().endswith(_LOG_SUFFIX)
+            and not name.lower().endswith(OUTPUT_SUFFIX)
+            and not name.startswith(".")
+        ]
+    return logs
+
+
+def _is_below(path: str, own: str) -> bool:
+    real = os.path.realpath(path)
+    return real == own or real.startswith(own + os.sep)
+
+
+def plan(
+    logs: Iterable[str], folder: Path, known: Sequence[LogResult], *, overwrite: bool
+) -> list[Job]:
+    """A job for every log, each with an output of its own.
+
+    A log keeps the name it has in the record; a new one is named by its stem, with a number
+    if another log has that name.
+
+    Args:
+        logs: Distinct logs.
+        folder: Of the batch.
+        known: The folder's record.
+        overwrite: Whether files may be replaced that are not in the record.
+
+    Raises:
+        UsageError: If a file that is not in the record is in the way.
+    """
+    by_input: Mapping[str, LogResult] = {entry.input: entry for entry in known}
+    taken = {entry.name.casefold() for entry in known}
+    jobs = []
+    for log in logs:
+        place = _relative(log, folder)
+        entry = by_input.get(place)
+        if entry is None:
+            name = _free_name(Path(log).stem, taken)
+            taken.add(name.casefold())
+            entry = LogResult(name, place, name + OUTPUT_SUFFIX)
+            if os.path.lexists(folder / entry.output) and not overwrite:
+                raise UsageError(
+                    f"{folder / entry.output} is there and not from this batch. "
+                    "Choose another folder, or add --overwrite."
+                )
+        jobs.append(Job(log, str(folder), entry))
+    return jobs
+
+
+def _free_name(stem: str, taken: set[str]) -> str:
+    number, name = 1, stem
+    while name.casefold() in taken:
+        number += 1
+        name = f"{stem}-{number}"
+    return name
+
+
+def _relative(log: str, folder: Path) -> str:
+    """The log seen from the folder: both can then be moved together."""
+    try:
+        return Path(os.path.relpath(os.path.abspath(log), os.path.abspath(folder))).as_posix()
+    except ValueError:  # another drive
+        return Path(os.path.abspath(log)).as_posix()
