@@ -62,7 +62,7 @@ def simulate(
     \b
     Examples:
       mclass simulate configs/scenarios/office.yaml -o office.mcap
-      mclass simulate office.yaml -o office.mcap --seed 7 --truth office_truth.json
+      mclass simulate office.yaml -o office.mcap --seed 7 --truth truth.json
       mclass simulate office.yaml -o office_json.mcap --encoding json
     """
     from mclass.simulation.scenario_file import load_scenario
