@@ -10,6 +10,7 @@ from mclass.config.find import MODEL_FILE_NAME, find_model_file
 from mclass.config.model_file import load_model, parse_model
 from mclass.errors import UsageError
 from mclass.inference import prepare
+from mclass.logs.damage import undecoded
 from mclass.logs.reader import LogReader
 from mclass.logs.survey import Survey, survey
 from mclass.outputs.readback import OutputLog
@@ -29,6 +30,7 @@ def look_over(log: Path, model_path: Path | None, *, verify: bool) -> tuple[LogF
             model = parse_model(attached, f"{log.name}#{MODEL_FILE_NAME}")
         found = survey(reader, model)
         problems = reader.verify() if verify else ()
+        unreadable = undecoded(found.unreadable)
         facts = LogFacts(
             path=str(log),
             size=reader.size,
@@ -36,7 +38,12 @@ def look_over(log: Path, model_path: Path | None, *, verify: bool) -> tuple[LogF
             library=reader.library,
             start_ns=reader.start_ns,
             end_ns=reader.end_ns,
-            damage=tuple(dict.fromkeys((*reader.damage.sentences, *problems))),
+            damage=(
+                *reader.damage.losses,
+                *(text for text in problems if text not in reader.damage.sentences),
+                *unreadable,
+            ),
+            remarks=reader.damage.remarks,
         )
     return facts, found
 

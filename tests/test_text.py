@@ -384,6 +384,7 @@ class TestLogText:
         start_ns=STAMP_NS,
         end_ns=STAMP_NS + 42_500_000_000,
         damage=("lost 1 chunk at byte 77: the checksum does not match",),
+        remarks=("the summary was wrong",),
     )
     SURVEY = Survey(
         channels=(
@@ -423,8 +424,8 @@ class TestLogText:
             "             on the robot assumed",
             r"labels       7 (books) 5, cat\n 2 (not in the model)",
             "note         one choice",
+            "note         the summary was wrong",
             "left out     3 stamps going backwards",
-            "left out     1 message of /odom: too short",
             "damaged      lost 1 chunk at byte 77: the checksum does not match",
             "problem      estimate would fail: no poses were recognised",
             "",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 
@@ -84,9 +85,32 @@ class Damage:
         return any(loss.uncounted for loss in self._losses.values())
 
     @property
+    def losses(self) -> tuple[str, ...]:
+        """What was lost, a sentence for each reason; empty exactly if not ``any``."""
+        return tuple(_sentence(*item) for item in self._losses.items())
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was wrong without costing data, in sentences."""
+        return tuple(self._remarks)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
-        """Losses, then remarks, one sentence each."""
-        return (*(_sentence(*item) for item in self._losses.items()), *self._remarks)
+        """Losses, then remarks."""
+        return (*self.losses, *self.remarks)
+
+
+def undecoded(failures: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:
+    """Messages that contradict their schema: a sentence for each topic and reason.
+
+    Args:
+        failures: Number of messages by topic and reason.
+    """
+    return tuple(
+        f"lost {_count(count, 'message')} of {topic}: {reason}"
+        for topic, reasons in failures.items()
+        for reason, count in reasons.items()
+    )
 
 
 def _sentence(reason: str, loss: _Loss) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from mclass import camera, geometry, transforms
 from mclass.errors import LogError, ModelError
 from mclass.logs import directions
+from mclass.logs.damage import undecoded
 from mclass.logs.detections import Detections, encode_texts
 from mclass.logs.inputs import InputReader, Inputs
 from mclass.logs.labels import known_labels, merge_labels
@@ -38,6 +39,9 @@ NO_CAMERA = "box without a camera (set log.camera or log.camera_info)"
 BAD_CAMERA = "camera calibration that cannot be used"
 NO_TRANSFORM = "no transform to the sensor"
 MERGED = "merged with another detection of the same id"
+
+_LISTED = 10
+_LONGEST_NAME = 60
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,11 @@ class LogContents:
     detections: int = 0
     pose_tally: Tally = field(default_factory=Tally)
     unreadable: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Messages that could not be decoded, in sentences."""
+        return undecoded(self.unreadable)
 
 
 @dataclass
@@ -178,6 +187,10 @@ def measure(inputs: Inputs, model: Model) -> LogContents:
         if why:
             tally.add(why, int(count))
     tally.add(MERGED, len(used) - len(first))
+    if inputs.tally.counts:
+        notes.append(f"poses left out or mended: {_counts(inputs.tally.counts)}")
+    if known.unknown:
+        notes.append(f"labels not in the model (see log.labels): {_counts(known.unknown)}")
     frame = inputs.track.poses.frame
     if not frame:
         notes.append("the poses name no world frame; it is called world")
@@ -193,6 +206,14 @@ def measure(inputs: Inputs, model: Model) -> LogContents:
         pose_tally=inputs.tally,
         unreadable=inputs.unreadable,
     )
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    """``3 of this, 2 of that``, the most frequent ones."""
+    ordered = sorted(counts.items(), key=lambda entry: (-entry[1], entry[0]))
+    listed = [f"{count:,} {name[:_LONGEST_NAME]!r}" for name, count in ordered[:_LISTED]]
+    rest = len(ordered) - _LISTED
+    return ", ".join(listed) + (f" and {rest:,} more" if rest > 0 else "")
 
 
 @dataclass(frozen=True)

@@ -343,9 +343,11 @@ class LogReader:
                 )
             if progress is not None:
                 progress(entry.offset, self.size)
-        for attachment in self.index.attachments:
-            if not self._attachment_intact(attachment):
-                problems.append(f"attachment {attachment.name!r}: its checksum does not match")
+        problems += [
+            f"attachment {attachment.name!r}: its checksum does not match"
+            for attachment in self.index.attachments
+            if not self._attachment_intact(attachment)
+        ]
         crc = self.index.data_crc
         if crc and crc != self._checksum(0, self.index.data_end):
             problems.append("the checksum of the data section does not match")
@@ -459,6 +461,4 @@ def _runs(within: BoolArray) -> Iterator[tuple[int, int]]:
 def _keeps_times(entry: ChunkEntry, content: ChunkContent) -> bool:
     """Whether the messages of a chunk lie within the times that it states."""
     times = content.heads["log_time"]
-    return not len(times) or bool(
-        times.min() >= entry.start_time and times.max() <= entry.end_time
-    )
+    return not len(times) or bool(times.min() >= entry.start_time and times.max() <= entry.end_time)

@@ -84,7 +84,7 @@ class RecordFinder:
         return opcode, following
 
 
-def _possible(opcode: int, length: int, start: bytes) -> bool:
+def _possible(opcode: int, length: int, start: bytes) -> bool:  # noqa: PLR0911 (one a kind)
     """Whether a record can begin so."""
     if opcode == Opcode.MESSAGE:
         return length >= MESSAGE_HEAD - RECORD_HEAD

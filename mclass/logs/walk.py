@@ -169,7 +169,7 @@ class Walk:
         self._keep(entry.offset, end)
         return end
 
-    def _record(self, position: int) -> int | None:
+    def _record(self, position: int) -> int | None:  # noqa: PLR0911 (one a kind)
         """Take one record; the next one's place, None where the walk ends."""
         span = self._finder.span(position)
         if span is None:

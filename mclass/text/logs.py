@@ -29,6 +29,7 @@ class LogFacts:
         start_ns: First log time, None in an empty log.
         end_ns: Last log time.
         damage: What was lost, in sentences.
+        remarks: What was wrong without costing data, in sentences.
     """
 
     path: str
@@ -38,6 +39,7 @@ class LogFacts:
     start_ns: int | None
     end_ns: int | None
     damage: Sequence[str] = ()
+    remarks: Sequence[str] = ()
 
 
 def log_json(facts: LogFacts, survey: Survey) -> JsonObject:
@@ -50,6 +52,7 @@ def log_json(facts: LogFacts, survey: Survey) -> JsonObject:
         "start_ns": None if facts.start_ns is None else str(facts.start_ns),
         "end_ns": None if facts.end_ns is None else str(facts.end_ns),
         "damage": list(facts.damage),
+        "remarks": list(facts.remarks),
         **dataclasses.asdict(survey),
     }
 
@@ -64,7 +67,7 @@ def log_text(facts: LogFacts, survey: Survey, terminal: Terminal) -> str:
         lines += _field("used", sentence, terminal)
     if survey.labels:
         lines += _field("labels", _labels(survey), terminal)
-    for sentence in survey.notes:
+    for sentence in (*survey.notes, *facts.remarks):
         lines += _field("note", sentence, terminal)
     for sentence in _left_out(survey):
         lines += _field("left out", sentence, terminal)
@@ -141,12 +144,9 @@ def _labels(survey: Survey) -> str:
 
 
 def _left_out(survey: Survey) -> Iterable[str]:
-    """Poses and messages that cannot be used, by reason."""
+    """Poses that cannot be used, by reason; messages that cannot are damage."""
     for reason, count in survey.pose_problems.items():
         yield f"{count} {reason}"
-    for topic, reasons in survey.unreadable.items():
-        for reason, count in reasons.items():
-            yield f"{count_text(count, 'message')} of {topic}: {reason}"
 
 
 def _channel_table(channels: Sequence[ChannelUse], terminal: Terminal) -> list[str]:
