@@ -45,10 +45,11 @@ class Grid:
 
     def cell_at(self, x: float, y: float) -> int | None:
         """Flat index of the cell that holds a point [m], None outside the grid."""
-        column = int(np.floor((x - self.origin[0]) / self.cell_size))
-        row = int(np.floor((y - self.origin[1]) / self.cell_size))
+        column = (x - self.origin[0]) / self.cell_size
+        row = (y - self.origin[1]) / self.cell_size
+        # Compared before they become integers, which infinities and NaN cannot.
         inside = 0 <= row < self.rows and 0 <= column < self.columns
-        return row * self.columns + column if inside else None
+        return int(row) * self.columns + int(column) if inside else None
 
 
 @dataclass(frozen=True)

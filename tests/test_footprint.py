@@ -260,3 +260,9 @@ def test_far_tiles_are_left_out() -> None:
     visited = list(tiles(grid, pointing))
     assert 0 < len(visited) <= 8
     assert all(len(tile.cells) <= 16 * 16 for tile in visited)
+
+
+@pytest.mark.parametrize("place", [math.nan, math.inf, -math.inf, 1e308, -1e308])
+def test_no_cell_holds_what_is_no_place(place: float, small_grid: Grid) -> None:
+    assert small_grid.cell_at(place, 0.0) is None
+    assert small_grid.cell_at(0.0, place) is None
