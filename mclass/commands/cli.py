@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import sys
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterator, Mapping
 from importlib import import_module
+from types import FrameType
 from typing import Any
 
 import click
@@ -20,6 +24,7 @@ _COMMANDS: Mapping[str, str] = {
     "inspect": "mclass.commands.inspect:inspect",
     "simulate": "mclass.commands.simulate:simulate",
     "batch": "mclass.commands.batch:batch",
+    "evaluate": "mclass.commands.evaluate:evaluate",
 }
 _DEBUG = "MCLASS_DEBUG"
 
@@ -44,11 +49,14 @@ class MclassGroup(click.Group):
         # Small matrix products are slower on several threads; set before numpy is loaded.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         try:
-            return super().invoke(ctx)
+            with _told_to_stop():
+                return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except KeyboardInterrupt:
-            _fail("interrupted; nothing was written", 130)
+            _fail("interrupted; no half-written file is left", 130)
+        except StoppedError as stop:
+            _fail(f"stopped by {stop.signal.name}; no half-written file is left", stop.exit_code)
         except BrokenPipeError:
             # The reader of our output has gone: nobody is left to tell.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -57,11 +65,45 @@ class MclassGroup(click.Group):
             _fail(str(error), error.exit_code)
         except MemoryError:
             _fail("not enough memory; use a coarser grid or fewer orientation bins", 1)
+        except OSError as error:
+            where = f"{error.filename}: " if error.filename else ""
+            _fail(f"{where}{(error.strerror or str(error)).lower()}", 1)
         except Exception as error:
             if os.environ.get(_DEBUG):
                 raise
             kind = type(error).__name__
             _fail(f"unexpected {kind}: {error}. This is a bug; {_DEBUG}=1 shows where", 1)
+
+
+class StoppedError(BaseException):
+    """The process was told to stop by a signal; not an `Exception`, so that all cleans up."""
+
+    def __init__(self, number: int) -> None:
+        self.signal = signal.Signals(number)
+        self.exit_code = 128 + number
+        super().__init__(self.signal.name)
+
+
+@contextlib.contextmanager
+def _told_to_stop() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the command in order, as an interrupt does."""
+
+    def stop(number: int, _: FrameType | None) -> None:
+        # Asked once is enough: a second signal must not disturb the cleaning up.
+        signal.signal(number, signal.SIG_IGN)
+        raise StoppedError(number)
+
+    names = ("SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    # What is ignored (nohup) or handled already stays so.
+    changed = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
+    try:
+        for number in changed:
+            signal.signal(number, stop)
+        yield
+    finally:
+        for number in changed:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _fail(message: str, code: int) -> None:
