@@ -659,6 +659,12 @@ def test_labels_that_no_class_returns_together_take_part_in_nothing() -> None:
         estimates[-1].class_probabilities, expected.class_probabilities, atol=1e-6
     )
     assert estimates[-1].class_probabilities[3] == 0.0
+    pointing = replace(measurements, directions=np.array([[0.0, 0.5], [-0.3, 0.3], [0.1, 0.6]]))
+    grid = Grid((0.0, -1.0), 0.25, rows=8, columns=8)
+    block = grid_block(prepare(model_of(exclusive, grid), pointing))
+    touched = grid.centers(block.cells)
+    assert np.all(np.arctan2(touched[:, 1], touched[:, 0]) >= 0.0)
+    assert block.measurements.max() == 2
 
 
 def test_classes_that_exclude_each_other_leave_the_background() -> None:
@@ -678,7 +684,7 @@ def test_classes_that_exclude_each_other_leave_the_background() -> None:
 
 def test_hundreds_of_measurements_stay_finite() -> None:
     # Narrower than a bin in the end, and without clutter tails of e^-1000 and beyond.
-    count = 300
+    count = 200
     rng = np.random.default_rng(8)
     angles = rng.uniform(-2.5, -0.6, count)
     sensors = np.stack([np.cos(angles), np.sin(angles), angles + math.pi], axis=-1)
@@ -690,7 +696,7 @@ def test_hundreds_of_measurements_stay_finite() -> None:
         prepare(model_of(classes, objects={"o0": (0.0, 0.0)}), measurements)
     )
     seen = sightings(measurements)
-    expected = belief_at(classes, seen, np.zeros(2), bins=BINS * FINER * 4)
+    expected = belief_at(classes, seen, np.zeros(2), bins=BINS * FINER)
     np.testing.assert_allclose(
         estimates[-1].class_probabilities, expected.class_probabilities, atol=1e-6
     )
@@ -700,3 +706,25 @@ def test_hundreds_of_measurements_stay_finite() -> None:
         sorted(mode.angle for mode in wanted), abs=1e-4
     )
     assert found[0].std == pytest.approx(wanted[0].std, rel=1e-2)
+
+
+@pytest.mark.parametrize("count", [5, 150])
+def test_sharp_beliefs_in_the_balance(count: int) -> None:
+    # Beliefs of different widths, far narrower than a bin in the end, with the priors set so
+    # that both classes and the background come out alike: integrals that are off show at once.
+    rng = np.random.default_rng(9)
+    angles = rng.uniform(-2.5, -0.6, count)
+    sensors = np.stack([np.cos(angles), np.sin(angles), angles + math.pi], axis=-1)
+    measurements = measurements_of(
+        sensors, [(0,)] * count, objects=[0] * count, label_names=("c1", "c2")
+    )
+    model = narrow_model(0.1, clutter=1e-3)
+    seen = sightings(measurements)
+    even = belief_at(replace(model, log_priors=np.zeros(3)), seen, np.zeros(2), bins=BINS * FINER)
+    log_classes = logsumexp(even.log_classes, axis=1) + math.log(TURN / (BINS * FINER))
+    log_priors = -np.concatenate([[even.log_background], log_classes])
+    balanced = replace(model, log_priors=log_priors - logsumexp(log_priors))
+    estimates, _ = estimate_objects(
+        prepare(model_of(balanced, objects={"o0": (0.0, 0.0)}), measurements)
+    )
+    np.testing.assert_allclose(estimates[-1].class_probabilities, 1.0 / 3.0, rtol=0, atol=1e-4)
