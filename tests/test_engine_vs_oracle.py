@@ -708,12 +708,12 @@ def test_hundreds_of_measurements_stay_finite() -> None:
     assert found[0].std == pytest.approx(wanted[0].std, rel=1e-2)
 
 
-@pytest.mark.parametrize("count", [5, 150])
-def test_sharp_beliefs_in_the_balance(count: int) -> None:
+@pytest.mark.parametrize(("count", "turn"), [(5, 0.0), (150, 0.0), (150, 0.025), (150, 0.05)])
+def test_sharp_beliefs_in_the_balance(count: int, turn: float) -> None:
     # Beliefs of different widths, far narrower than a bin in the end, with the priors set so
     # that both classes and the background come out alike: integrals that are off show at once.
     rng = np.random.default_rng(9)
-    angles = rng.uniform(-2.5, -0.6, count)
+    angles = turn + rng.uniform(-1.7, -1.2, count)
     sensors = np.stack([np.cos(angles), np.sin(angles), angles + math.pi], axis=-1)
     measurements = measurements_of(
         sensors, [(0,)] * count, objects=[0] * count, label_names=("c1", "c2")
