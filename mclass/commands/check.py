@@ -37,11 +37,11 @@ def check(model: Path, output_format: str) -> None:
     if output_format == "json":
         echo_json({"model": loaded.name, "valid": True, **check_json(violations)})
         return
-    names = loaded.classes
+    terminal, names = Terminal.of(sys.stdout), loaded.classes
     click.echo(
-        f"{loaded.name} is valid: {len(names.class_names)} classes, "
+        f"{terminal.clean(loaded.name)} is valid: {len(names.class_names)} classes, "
         f"{len(names.label_names)} labels, lengths in {loaded.length_unit}, "
         f"preset {loaded.inference.preset}"
     )
     unit = (loaded.length_unit, LENGTH_UNITS[loaded.length_unit])
-    click.echo(check_text(violations, Terminal.of(sys.stdout), unit))
+    click.echo(check_text(violations, terminal, unit))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -32,10 +33,12 @@ def init(log: Path, output: Path | None, overwrite: bool) -> None:
       mclass init drive.mcap -o -
     """
     from mclass.initialise import template_for, write_model_file
+    from mclass.text.terminal import Terminal
 
     text = template_for(log)
     if output is not None and str(output) == "-":
         click.echo(text, nl=False)
         return
     path = write_model_file(text, log, output, overwrite=overwrite)
-    click.echo(f"wrote {path}; edit it, then: mclass check {path}")
+    shown = Terminal.of(sys.stdout).clean(str(path), 1000)
+    click.echo(f"wrote {shown}; edit it, then: mclass check {shown}")

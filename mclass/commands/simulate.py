@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,6 +69,7 @@ def simulate(
     from mclass.simulation.scenario_file import load_scenario
     from mclass.simulation.world import simulate as play
     from mclass.simulation.write import write_log, write_truth_and_log
+    from mclass.text.terminal import Terminal
 
     log = output if output is not None else Path(scenario.stem + ".mcap")
     if truth_path is not None and truth_path.resolve() == log.resolve():
@@ -78,7 +80,8 @@ def simulate(
     else:
         write_truth_and_log(drive, truth_path, log, encoding, overwrite=overwrite)
     frames, detections = len(drive.frames), len(drive.detections)
+    shown = Terminal.of(sys.stdout).clean(str(log), 1000)
     click.echo(
-        f"{log}: {len(drive.truth.object_ids)} objects, {frames} camera frames, "
+        f"{shown}: {len(drive.truth.object_ids)} objects, {frames} camera frames, "
         f"{detections} detections, {encoding}"
     )
