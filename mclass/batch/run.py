@@ -190,9 +190,12 @@ class _Record:
             self._due = ended + max(_LEAST_PAUSE_S, (ended - began) / _WRITING_SHARE)
 
     def _write_later(self) -> None:
-        # What cannot be written now is tried again at the end, where failure is told.
-        with contextlib.suppress(LogError):
-            self.write()
+        with self._lock:
+            if self._timer is not threading.current_thread():
+                return  # all was written while this waited
+            # What cannot be written now is tried again at the end, where failure is told.
+            with contextlib.suppress(LogError):
+                self.write()
 
 
 @contextlib.contextmanager
