@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mclass.association import Group, associate
 from mclass.evidence import Engine
 from mclass.footprint import Grid, Pointing, covering_grid
 from mclass.gridmap import grid_beliefs
@@ -144,23 +145,21 @@ def estimate_objects(problem: Problem) -> tuple[list[ObjectEstimate], list[Belie
     measurements, model = problem.measurements, problem.model
     updates: list[tuple[int, ObjectEstimate]] = []
     beliefs: list[BeliefBlock] = []
-    owner = measurements.object_index[problem.used]
-    for index, object_id in enumerate(measurements.object_ids):
-        rows = problem.used[owner == index]
+    for object_id, group in _groups(problem):
+        rows, shares = group.rows, group.shares
         position = model.objects.get(object_id)
         if position is not None:
             candidates = known_position(position, model.grid.cell_size)
-        elif problem.grid is not None:
+        else:
+            located = np.isfinite(problem.looks.pointing.directions[rows]).all(axis=1)
+            rows, shares = rows[located], shares[located]
+            if problem.grid is None or len(rows) == 0:
+                continue
             found = pointed_cells(problem.grid, problem.looks.pointing, rows)
             if found is None:
                 continue
             candidates = found
-            rows = rows[np.isfinite(problem.looks.pointing.directions[rows]).all(axis=1)]
-        else:
-            continue
-        if len(rows) == 0:
-            continue
-        looks = object_looks(problem.looks, rows)
+        looks = object_looks(problem.looks, rows, shares)
         tracker = ObjectFilter(problem.engine, looks, candidates, model.classes.log_priors)
         stamps, log_times = measurements.stamps_ns[rows], measurements.log_times_ns[rows]
         for step, readout in enumerate(tracker.steps()):
@@ -179,6 +178,27 @@ def estimate_objects(problem: Problem) -> tuple[list[ObjectEstimate], list[Belie
         beliefs.append(tracker.belief(updates[-1][1]))
     updates.sort(key=lambda update: update[0])
     return [estimate for _, estimate in updates], beliefs
+
+
+def _groups(problem: Problem) -> Iterator[tuple[str, Group]]:
+    """The detections of each object: those with its id or, in a log without ids, its share."""
+    measurements = problem.measurements
+    owner = measurements.object_index[problem.used]
+    for index, object_id in enumerate(measurements.object_ids):
+        rows = problem.used[owner == index]
+        if len(rows):
+            yield object_id, Group(rows, np.ones(len(rows)))
+    if problem.model.inference.association and problem.grid is not None and (owner < 0).all():
+        located = np.isfinite(problem.looks.pointing.directions[problem.used]).all(axis=1)
+        groups = associate(
+            problem.engine,
+            problem.looks,
+            problem.grid,
+            problem.model.classes.log_priors,
+            problem.used[located],
+        )
+        for number, group in enumerate(groups, start=1):
+            yield f"object-{number}", group
 
 
 @dataclass(frozen=True)

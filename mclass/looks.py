@@ -41,6 +41,11 @@ class Looks:
     settings: InferenceSettings
     covariances: FloatArray | None = None
 
+    @property
+    def n_frames(self) -> int:
+        """F."""
+        return len(self.frames) - self.n_detections
+
     def frame_looks(self, frames: IntArray) -> IntArray:
         """The looks that are these frames."""
         return frames + self.n_detections
@@ -50,14 +55,14 @@ class Looks:
         pointing = self.pointing.select(looks)
         cell, look = np.nonzero(seen.inside)
         ratio = self.settings.view_margin / np.maximum(seen.ranges[cell, look], 1e-9)
-        off_axis = _off_axis(seen.directions[cell, look], pointing.axes[look])
-        clear = off_axis <= pointing.widths[look] / 2.0 - np.arcsin(np.minimum(ratio, 1.0))
+        angles = off_axis(seen.directions[cell, look], pointing.axes[look])
+        clear = angles <= pointing.widths[look] / 2.0 - np.arcsin(np.minimum(ratio, 1.0))
         shown = np.zeros(seen.inside.shape, dtype=bool)
         shown[cell[clear], look[clear]] = True
         return shown
 
 
-def _off_axis(directions: FloatArray, axes: FloatArray) -> FloatArray:
+def off_axis(directions: FloatArray, axes: FloatArray) -> FloatArray:
     """Angle between the direction to a cell and an axis, given the direction back [rad]."""
     return np.abs(wrap_angle(directions + np.pi - axes))
 
@@ -141,6 +146,7 @@ class ObjectLooks:
         silent: Frames in which the object was not detected, (l,).
         rivals: Detections of anything else, by frame: where they point the object may be
             hidden, or be what was detected, (r,).
+        shares: How much of each look belongs to the object, (l,).
     """
 
     looks: Looks
@@ -148,6 +154,7 @@ class ObjectLooks:
     steps: IntArray
     silent: BoolArray
     rivals: IntArray
+    shares: FloatArray
 
     @property
     def n_steps(self) -> int:
@@ -195,7 +202,7 @@ class ObjectLooks:
             column = np.searchsorted(
                 self.looks.frames[self.rows[frames]], self.looks.frames[self.rows]
             )
-            scale = [weights[:, column]]
+            scale = [weights[:, column] * self.shares]
         return joined_pairs([concern.seen], [self.rows], [concern.speaks], scale)
 
     def _log_factor(self, seen: Sight, rows: IntArray) -> FloatArray:
@@ -204,7 +211,7 @@ class ObjectLooks:
         log_factor = np.where(seen.inside, 0.0, settings.log_outside)
         variance = self._direction_variance(seen, rows)
         if np.any(variance > 0.0):
-            excess = _off_axis(seen.directions, pointing.axes) - pointing.widths / 2.0
+            excess = off_axis(seen.directions, pointing.axes) - pointing.widths / 2.0
             soft = np.maximum(-0.5 * excess**2 / variance, settings.log_outside)
             in_range = (seen.ranges >= pointing.min_range) & (seen.ranges <= pointing.max_range)
             log_factor = np.where(~seen.inside & in_range, soft, log_factor)
@@ -232,7 +239,7 @@ class ObjectLooks:
         if len(rivals):
             rival = self.looks.pointing.select(rivals)
             column = np.searchsorted(frames, self.looks.frames[rivals])
-            covered = _off_axis(seen.directions[:, column], rival.axes) <= rival.widths / 2.0
+            covered = off_axis(seen.directions[:, column], rival.axes) <= rival.widths / 2.0
             shown &= ~_any_by_column(np.asarray(covered), column, len(frames))
         return shown
 
@@ -256,27 +263,31 @@ class Concern:
     log_factor: FloatArray
 
 
-def object_looks(looks: Looks, detections: IntArray) -> ObjectLooks:
-    """The looks at an object that these detections, in the order of time, belong to."""
-    steps = np.arange(len(detections))
-    if not looks.settings.probabilities:
-        return ObjectLooks(
-            looks, detections, steps, np.zeros(len(steps), dtype=bool), np.zeros(0, dtype=np.int64)
-        )
+def object_looks(
+    looks: Looks, detections: IntArray, shares: FloatArray | None = None, *, silence: bool = True
+) -> ObjectLooks:
+    """The looks at an object.
+
+    Args:
+        looks: All looks.
+        detections: Those of the object by frame, at most one a frame.
+        shares: How much of each belongs to it, (k,); all when None.
+        silence: Take in the frames too, where silence is evidence.
+    """
+    shares = np.ones(len(detections)) if shares is None else shares
+    frames = np.zeros(0, dtype=np.int64)
     own = looks.frames[detections]
-    frames = (
-        own if not looks.settings.silence else np.arange(len(looks.frames) - looks.n_detections)
-    )
-    frames = np.unique(frames)
+    if looks.settings.probabilities and silence:
+        frames = np.arange(looks.n_frames) if looks.settings.silence else np.unique(own)
     rows = np.concatenate([detections, looks.frame_looks(frames)])
     order = np.argsort(looks.frames[rows], kind="stable")
     rows = rows[order]
-    step = np.searchsorted(own, looks.frames[rows], side="left")
-    others = np.setdiff1d(np.arange(looks.n_detections), detections)
+    steps = np.searchsorted(own, looks.frames[rows])
     return ObjectLooks(
         looks=looks,
         rows=rows,
-        steps=np.minimum(step, len(detections) - 1),
+        steps=np.minimum(steps, len(detections) - 1),
         silent=(rows >= looks.n_detections) & ~np.isin(looks.frames[rows], own),
-        rivals=others,
+        rivals=np.setdiff1d(np.arange(looks.n_detections), detections),
+        shares=np.concatenate([shares, np.ones(len(frames))])[order],
     )

@@ -103,6 +103,8 @@ class InferenceSettings:
         drift: Rate of an unknown random walk of the poses [m/sqrt(s)], beside their covariance.
         score_weights: (score, weight) points, increasing: what a label counts by its score,
             linear between them and constant beyond; empty for 1 whatever the score.
+        association: In a log without object ids, find which detections are of one object;
+            needs ``probabilities``.
     """
 
     preset: Literal["paper", "robust"] = "paper"
@@ -117,6 +119,7 @@ class InferenceSettings:
     pose_uncertainty: bool = False
     drift: float = 0.0
     score_weights: tuple[tuple[float, float], ...] = ()
+    association: bool = False
 
     @property
     def log_outside(self) -> float:
@@ -133,6 +136,7 @@ ROBUST = InferenceSettings(
     outside_probability=1e-3,
     pointing_std=0.05,
     pose_uncertainty=True,
+    association=True,
 )
 
 

@@ -157,21 +157,22 @@ class ObjectFilter:
         located = concern.seen.inside[:, columns] & concern.located[columns]
         return located.astype(np.int64)
 
-    def _scale(self, concern: Concern) -> FloatArray | None:
-        """Weight of every look at every cell, (k, l)."""
+    def _scale(self, concern: Concern, shares: FloatArray) -> FloatArray | None:
+        """Weight of every look at every cell, (k, l); None for one each."""
         if self._lattice is None:
-            return None
+            whole = bool((shares == 1.0).all())
+            return None if whole else np.broadcast_to(shares, concern.speaks.shape)
         shape = concern.speaks.shape
         cells = np.repeat(self._lattice_cells, shape[1])
         seen = concern.seen
         weights = self._lattice.weights(cells, seen.ranges.ravel(), seen.directions.ravel())
         # Rounding apart, no look that speaks counts for more than one.
-        return np.minimum(weights, 1.0).reshape(shape)
+        return np.asarray(np.minimum(weights, 1.0).reshape(shape) * shares)
 
     def _block(self, start: int, stop: int) -> Iterator[Readout]:
         part = self.looks.within(start, stop)
         concern = self._concern(part)
-        scale = self._scale(concern)
+        scale = self._scale(concern, self.looks.shares[part])
         steps = self.looks.steps[part] - start
         hits = self._hits[:, None] + np.cumsum(self._new_hits(concern), axis=1)
         factor = np.zeros(concern.log_factor.shape)

@@ -152,6 +152,7 @@ def _inference(value: Value, unit: float) -> InferenceSettings:
         "pose_uncertainty": switch,
         "drift": distance,
         "score_weights": _score_weights,
+        "association": switch,
     }
     found = fields(value, readers)
     if "pointing_std_deg" in found:
@@ -159,6 +160,8 @@ def _inference(value: Value, unit: float) -> InferenceSettings:
     inference = replace(_PRESETS[found.get("preset", DEFAULT_PRESET)], **found)
     if inference.silence and not inference.probabilities:
         value.fail("silence can only count where labels have probabilities: set both or neither")
+    if inference.association and not inference.probabilities:
+        value.fail("association needs labels with probabilities: set both or neither")
     return inference
 
 
