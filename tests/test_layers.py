@@ -35,6 +35,7 @@ LAYERS = (
     ("text",),
     ("plot",),
     ("pipeline", "initialise", "inspection"),
+    ("batch", "fusion"),
     ("commands",),
 )
 """From the ground up. A room may use the rooms of lower layers, not its neighbours'."""

@@ -136,7 +136,7 @@ def batch(
     from mclass.batch.work import Estimation
     from mclass.config.model_file import load_model
     from mclass.rules import parse_rule
-    from mclass.text.batches import batch_json, batch_text, junit_cases
+    from mclass.batch.report import batch_json, batch_text, junit_cases
     from mclass.text.junit import junit_xml
     from mclass.text.terminal import Terminal
 
