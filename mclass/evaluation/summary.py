@@ -10,7 +10,7 @@ import numpy as np
 
 from mclass.evaluation.scores import LogScore
 from mclass.records import FloatArray, IntArray
-from mclass.rules import Metric
+from mclass.rules import Metric, Quantity
 
 LEVELS = (0.5, 0.9, 0.99)
 """Of the highest-density regions whose coverage is told."""
@@ -51,22 +51,22 @@ class Evaluation:
 
 
 METRICS: Mapping[str, Metric] = {
-    "class_accuracy": Metric("share", "objects whose class is named rightly"),
-    "orientation_error_deg": Metric("number", "median error of the orientation"),
-    "orientation_error_90_deg": Metric("number", "its 90th percentile"),
-    "symmetric_error_deg": Metric("number", "median error up to the class's symmetry"),
-    "symmetric_error_90_deg": Metric("number", "its 90th percentile"),
-    "mode_error_deg": Metric("number", "median error of the nearest mode of at least 5 %"),
-    "position_error": Metric("number", "mean distance of the position, in metres"),
-    "log_loss": Metric("number", "mean -log P(class) p(orientation | class), per radian"),
-    "brier": Metric("number", "mean squared error of the class probabilities"),
-    "calibration_error": Metric("number", "expected calibration error of the named class"),
-    "coverage_50": Metric("share", "true orientations in the 50 % region"),
-    "coverage_90": Metric("share", "true orientations in the 90 % region"),
-    "coverage_99": Metric("share", "true orientations in the 99 % region"),
-    "matched": Metric("count", "true objects with an estimate"),
-    "missed": Metric("count", "true objects without an estimate"),
-    "invented": Metric("count", "estimates without a true object"),
+    "class_accuracy": Metric("share", "right class named"),
+    "orientation_error_deg": Metric("number", "median"),
+    "orientation_error_90_deg": Metric("number", "90th percentile"),
+    "symmetric_error_deg": Metric("number", "up to symmetry, median"),
+    "symmetric_error_90_deg": Metric("number", "90th percentile"),
+    "mode_error_deg": Metric("number", "of the nearest mode, median"),
+    "position_error": Metric("number", "mean distance [m]"),
+    "log_loss": Metric("number", "-log P(class, phi) [per rad]"),
+    "brier": Metric("number", "of class probabilities"),
+    "calibration_error": Metric("number", "of P(named class)"),
+    "coverage_50": Metric("share", "phi in the 50 % region"),
+    "coverage_90": Metric("share", "phi in the 90 % region"),
+    "coverage_99": Metric("share", "phi in the 99 % region"),
+    "matched": Metric("count", "objects found"),
+    "missed": Metric("count", "objects not found"),
+    "invented": Metric("count", "estimates of nothing real"),
 }
 """Every figure, by the name that rules use."""
 
@@ -103,6 +103,16 @@ def evaluate(logs: Sequence[LogScore], *, seed: int = 0) -> Evaluation:
             key = score.true_class, score.named_class
             confusion[key] = confusion.get(key, 0) + 1
     return Evaluation(tuple(logs), figures, confusion)
+
+
+def quantities(evaluation: Evaluation) -> dict[str, Quantity]:
+    """The figures as rules take them: counts are shares of all objects, true and invented."""
+    values = {name: figure.value for name, figure in evaluation.figures.items()}
+    counts = [name for name, metric in METRICS.items() if metric.kind == "count"]
+    whole = sum(values[name] or 0.0 for name in counts)
+    return {
+        name: Quantity(value, whole if name in counts else None) for name, value in values.items()
+    }
 
 
 _COLUMNS = (
