@@ -108,6 +108,36 @@ class ObjectFilter:
             yield from self._block(start, min(stop, self.looks.n_steps))
             start = stop
 
+    def finish(self) -> Readout:
+        """The belief after the last detection: what `steps` ends with, in a fraction of the time.
+
+        Only cells that are candidates in the end are looked at.
+        """
+        looks, known = self.looks, self.candidates.known
+        if not known:
+            detections = looks.rows[looks.rows < looks.looks.n_detections]
+            pointing = looks.looks.pointing.select(detections)
+            seen = sight(self.candidates.centers, self.candidates.grid.cell_size, pointing)
+            self._keep(np.flatnonzero(_is_candidate(seen.inside.sum(axis=1))))
+        self._survey()
+        part = slice(0, len(looks.rows))
+        concern = self._concern(part)
+        scale = self._scale(concern, looks.shares)
+        every = np.arange(len(self.candidates.cells))
+        whole = np.zeros(len(looks.rows), dtype=np.int64)
+        self._total = self._evidence(concern, scale, every, whole, part)
+        self._hits = self._new_hits(concern).sum(axis=1)
+        if not known:
+            factor = concern.log_factor if scale is None else concern.log_factor * scale
+            self._log_outer = factor.sum(axis=1)
+        outer = self.log_priors + self._log_outer[:, None]
+        log_joint = np.concatenate(
+            [self._total.background[:, None], log_mean_exp(self._total.classes)], axis=1
+        )
+        return Readout(
+            self._total.classes, outer[:, 1:], log_joint + outer, self.candidates.centers
+        )
+
     def _survey(self) -> IntArray:
         """Count the looks around each viewpoint; return each cell's last step as a candidate."""
         settings = self.looks.looks.settings

@@ -1,0 +1,45 @@
+"""An object's belief after its last measurement alone, and after each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mclass.config.model_file import load_model
+from mclass.inference import estimate_objects, prepare
+from mclass.model import PAPER, ROBUST, InferenceSettings
+from mclass.simulation.scenario_file import load_scenario
+from mclass.simulation.world import simulate_measurements
+
+CONFIGS = Path(__file__).parent.parent / "configs"
+
+
+@pytest.mark.parametrize("settings", [PAPER, ROBUST, replace(ROBUST, correlation=None)])
+@pytest.mark.parametrize("known", [False, True])
+def test_last_belief_needs_no_history(settings: InferenceSettings, known: bool) -> None:
+    scenario = load_scenario(CONFIGS / "scenarios" / "cas_lab.yaml")
+    model = load_model(CONFIGS / "cas_lab.yaml")
+    objects = model.objects if known else {}
+    grid = replace(model.grid, orientation_bins=36)
+    model = replace(model, inference=settings, objects=objects, grid=grid)
+    measurements, _ = simulate_measurements(scenario)
+    followed, beliefs = estimate_objects(prepare(model, measurements))
+    ends, end_beliefs = estimate_objects(prepare(model, measurements), history=False)
+    last = {estimate.object_id: estimate for estimate in followed}
+    assert {estimate.object_id for estimate in ends} == last.keys()
+    assert len(followed) > len(ends)
+    for end in ends:
+        one = last[end.object_id]
+        assert end.class_probabilities == pytest.approx(one.class_probabilities, abs=1e-9)
+        assert end.class_poses == pytest.approx(one.class_poses, abs=1e-6)
+        assert (end.measurements, end.stamp_ns, end.labels) == (
+            one.measurements,
+            one.stamp_ns,
+            one.labels,
+        )
+    for belief, end_belief in zip(beliefs, end_beliefs, strict=True):
+        assert np.array_equal(belief.cells, end_belief.cells)
+        assert end_belief.log_cell_mass == pytest.approx(belief.log_cell_mass, abs=1e-6)
