@@ -99,9 +99,10 @@ def estimate(
         )
         problem = prepare(model, contents.measurements)
         skipped = _skipped(problem, contents.tally.counts)
-        if skipped and len(problem.used) == 0:
-            reasons = "; ".join(f"{count} {reason}" for reason, count in skipped.items())
-            raise LogError(f"no detection can be used: {reasons}", path=str(log))
+        damage = (*reader.damage.losses, *contents.losses)
+        if (skipped or damage) and len(problem.used) == 0:
+            reasons = (*(f"{count} {reason}" for reason, count in skipped.items()), *damage)
+            raise LogError(f"no detection can be used: {'; '.join(reasons)}", path=str(log))
         input_hash = ""
         if output is None:
             found = _solve(problem, contents.frame, None, every_s)

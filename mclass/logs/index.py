@@ -95,19 +95,30 @@ def _complete(source: Source, index: LogIndex, damage: Damage) -> None:
         and statistics.channel_count == len(index.channels)
         and statistics.schema_count == len(index.schemas)
     )
+    unopened = []
     for entry in index.chunks:
-        if entry.counts is None:
-            if all_defined:
-                continue
-        elif all(map(index.defines, entry.counts)):
-            continue
-        try:
-            content = read_chunk(source, entry)
-        except ChunkLostError as error:
-            lose_chunk(entry, error, damage)
-            continue
-        index.define(content)
-        use_content(entry, content, damage)
+        known = all_defined if entry.counts is None else all(map(index.defines, entry.counts))
+        if known:
+            unopened.append(entry)
+        else:
+            _define_from(source, index, entry, damage)
+    # A definition may stand in an earlier chunk, which holds no message of its channel.
+    missing = {key for entry in index.chunks for key in entry.counts or ()}
+    while missing := {key for key in missing if not index.defines(key)}:
+        if not unopened:
+            break
+        _define_from(source, index, unopened.pop(), damage)
+
+
+def _define_from(source: Source, index: LogIndex, entry: ChunkEntry, damage: Damage) -> None:
+    """Open a chunk and take over what it defines."""
+    try:
+        content = read_chunk(source, entry)
+    except ChunkLostError as error:
+        lose_chunk(entry, error, damage)
+        return
+    index.define(content)
+    use_content(entry, content, damage)
 
 
 def _count_undefined(index: LogIndex, damage: Damage) -> None:

@@ -23,7 +23,7 @@ from mclass.logs.inputs import InputReader, Inputs
 from mclass.logs.labels import known_labels, merge_labels
 from mclass.logs.reader import LogReader
 from mclass.logs.sensors import Sensor
-from mclass.logs.sources import topics_present
+from mclass.logs.sources import Sources, topics_present
 from mclass.model import Model
 from mclass.records import (
     BoolArray,
@@ -117,20 +117,44 @@ def read_measurements(
     Raises:
         LogError: If there are no detections or no poses, or the model names what is not there.
     """
+    try:
+        return _read_measurements(reader, model, start_ns, end_ns)
+    except LogError as error:
+        if not reader.damage.any:
+            raise
+        # What is missing may be what was lost.
+        raise LogError(f"{error} The log is damaged: {'; '.join(reader.damage.losses)}.") from error
+
+
+def _read_measurements(
+    reader: LogReader, model: Model, start_ns: int | None, end_ns: int | None
+) -> LogContents:
     inputs = InputReader(reader, model, start_ns, end_ns).read()
     if not inputs.sources.detections:
         raise LogError(
             f"no detections were recognised. Topics present: {topics_present(reader)}. "
-            "Name one as log.detections, with the field paths of label, id and box.",
+            "Name one as log.detections, with the field paths of label, id and box."
+            f"{_unusable(reader, inputs.sources)}",
             path=str(reader.path),
         )
     if inputs.pose_source is None:
         raise LogError(
             f"no poses were recognised. Topics present: {topics_present(reader)}. "
-            "Name one as log.odometry, with the field paths of x, y and heading.",
+            "Name one as log.odometry, with the field paths of x, y and heading."
+            f"{_unusable(reader, inputs.sources)}",
             path=str(reader.path),
         )
     return measure(inputs, model)
+
+
+def _unusable(reader: LogReader, sources: Sources) -> str:
+    """Why channels that should serve do not, each a sentence."""
+    topics = {channel.id: channel.topic for channel in reader.channels}
+    problems = [
+        why if why.startswith("topic ") else f"topic {topics[key]}: {why}"
+        for key, why in sources.unusable.items()
+    ]
+    return "".join(f" T{text.rstrip('.')[1:]}." for text in problems[:_LISTED])
 
 
 def measure(inputs: Inputs, model: Model) -> LogContents:
