@@ -1,0 +1,236 @@
+"""The README, the help texts and the shipped files say what is so."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+import readme
+import yaml
+from mcap.reader import make_reader
+from sample_runs import CONFIGS, ROOT, SAMPLE_NAMES, estimated, mclass
+
+from mclass.commands.cli import main
+from mclass.config.model_file import load_model, parse_model
+from mclass.simulation.scenario_file import load_scenario
+
+README = readme.README.read_text(encoding="utf-8")
+MODELS = sorted(CONFIGS.glob("*.yaml"))
+SCENARIOS = sorted((CONFIGS / "scenarios").glob("*.yaml"))
+MODEL_SCHEMA = json.loads((ROOT / "schemas" / "model.schema.json").read_text(encoding="utf-8"))
+
+
+def every_command(name: str, command: click.Command) -> Iterator[tuple[str, click.Command]]:
+    """Every command with its full name, groups included."""
+    yield name, command
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for child in command.list_commands(context):
+            found = command.get_command(context, child)
+            assert found is not None
+            yield from every_command(f"{name} {child}", found)
+
+
+COMMANDS = dict(every_command("mclass", main))
+
+
+class TestHelp:
+    @pytest.mark.parametrize("name", COMMANDS)
+    def test_has_examples_line_by_line(self, name: str) -> None:
+        text = mclass(*name.split()[1:], "--help").stdout
+        assert text == mclass(*name.split()[1:], "-h").stdout
+        examples = re.findall(r"^    (mclass .*)", text.partition("Examples:\n")[2], re.MULTILINE)
+        assert examples, "no examples, or they are run together"
+        for example in examples:
+            assert_can_be_typed(example.partition("   ")[0].split())
+        if not isinstance(COMMANDS[name], click.Group):
+            assert any(example.startswith(name) for example in examples)
+        assert "\\b" not in text
+        assert max(map(len, text.splitlines())) <= 80
+
+    @pytest.mark.parametrize("name", COMMANDS)
+    def test_every_option_is_explained(self, name: str) -> None:
+        text = mclass(*name.split()[1:], "--help").stdout
+        for parameter in COMMANDS[name].params:
+            if isinstance(parameter, click.Option):
+                assert parameter.help, f"{name}: {parameter.name} has no help"
+                assert all(form in text for form in parameter.opts)
+
+    @pytest.mark.parametrize("name", COMMANDS)
+    def test_short_help_is_a_sentence(self, name: str) -> None:
+        short = COMMANDS[name].get_short_help_str(limit=200)
+        assert short.endswith(".")
+        assert not short.endswith("...")
+
+
+def assert_can_be_typed(words: list[str]) -> None:
+    """A command line names a command, and only options that it has."""
+    assert words[0] == "mclass"
+    name = "mclass"
+    for word in words[1:]:
+        if f"{name} {word}" not in COMMANDS:
+            break
+        name = f"{name} {word}"
+    forms = {form for parameter in COMMANDS[name].params for form in parameter.opts} | {"-h"}
+    for word in words:
+        if re.match(r"--?[a-zA-Z]", word):
+            assert word in forms, f"{name} has no option {word}"
+
+
+class TestReadme:
+    def test_examples_print_what_is_shown(self, tmp_path: Path) -> None:
+        readme.lay_out(tmp_path)
+        wrong, count = [], 0
+        for command, shown, _ in readme.examples(README):
+            printed = readme.run(command, tmp_path)
+            count += 1
+            if not readme.same_output(shown, printed):
+                wrong.append(f"$ {command}\n--- shown\n{shown}--- printed\n{printed}")
+        assert count > 10
+        assert not wrong, "run `python tests/readme.py`\n\n" + "\n".join(wrong)
+
+    def test_comparison_can_fail(self) -> None:
+        shown = "P 0.4963  x 4.00 ± 0.10, 2.7e-20, 12 used\n"
+        assert readme.same_output(shown, shown)
+        assert readme.same_output(shown, "P 0.4962 x 4.00 ± 0.10, 3.1e-21, 12 used\n")
+        assert not readme.same_output(shown, shown.replace("0.4963", "0.4965"))
+        assert not readme.same_output(shown, shown.replace("12", "13"))
+        assert not readme.same_output(shown, shown.replace("used", "left"))
+        assert not readme.same_output(shown, shown + "more\n")
+
+    @pytest.mark.parametrize("name", [name for name in COMMANDS if name != "mclass"])
+    def test_shows_every_command_with_output(self, name: str) -> None:
+        if isinstance(COMMANDS[name], click.Group):
+            return
+        assert re.search(rf"^### {name} [A-Z]", README, re.MULTILINE)
+        outputs = [out for command, out, _ in readme.examples(README) if command.startswith(name)]
+        assert any(outputs)
+
+    def test_its_commands_can_be_typed(self) -> None:
+        for line in re.findall(r"`(mclass [^`]*)`", README):
+            assert_can_be_typed(line.split())
+
+    def test_first_session_commands(self) -> None:
+        first, second = (
+            block.text for block in readme.blocks(README) if block.kind == "sh first-session"
+        )
+        assert "pip install" in first
+        assert "mclass estimate sample_logs/" in first
+        assert "'.[test]'" in second
+        assert "pytest" in second
+        for text in (first, second):
+            subprocess.run(["bash", "-n", "-c", text], check=True)
+
+    def test_every_fence_is_of_a_kind_that_is_tested(self) -> None:
+        kinds = {block.kind for block in readme.blocks(README)}
+        assert kinds == {"sh first-session", "console", "yaml", "python", "text"}
+
+    def test_model_files_load(self) -> None:
+        """Whole ones by themselves, sections in place of the first whole one's."""
+        texts = [block.text for block in readme.blocks(README) if block.kind == "yaml"]
+        whole = next(text for text in texts if "classes:" in text)
+        assert sum("classes:" not in text for text in texts) > 1
+        for text in texts:
+            base = {} if "classes:" in text else yaml.safe_load(whole)
+            merged = {**base, **yaml.safe_load(text)}
+            parse_model(yaml.safe_dump(merged, allow_unicode=True), "README.md")
+        parse_model(whole, "README.md")
+
+    def test_robust_preset_is_written_out(self) -> None:
+        """The section that spells out the preset changes nothing but the last digits."""
+        text = next(b.text for b in readme.blocks(README) if "probabilities: true" in b.text)
+        base = (CONFIGS / "paper_toy.yaml").read_text(encoding="utf-8")
+        base = base.replace("length_unit: dm", "length_unit: m")
+        spelled = parse_model(base.replace("inference: {preset: paper}\n", text), "a").inference
+        preset = parse_model(base.replace("preset: paper", "preset: robust"), "b").inference
+        for key, value in vars(preset).items():
+            assert getattr(spelled, key) == (
+                pytest.approx(value, rel=0.02) if key != "preset" else value
+            ), key
+        keys = MODEL_SCHEMA["$defs"]["inference"]["properties"]
+        assert set(yaml.safe_load(text)["inference"]) == set(keys)
+
+    def test_names_every_model_key(self) -> None:
+        keys = set(model_keys(MODEL_SCHEMA))
+        assert {"length_unit", "min_score", "mount", "std_deg", "silence"} <= keys
+        unnamed = {key for key in keys if not re.search(rf"`{key}`|\b{key}: ", README)}
+        assert unnamed == set()
+
+    def test_names_every_shipped_file(self) -> None:
+        for path in [*CONFIGS.glob("*.*"), *(ROOT / "docs").glob("*.png")]:
+            assert path.relative_to(ROOT).as_posix() in README
+
+    def test_links_lead_somewhere(self) -> None:
+        headings = {
+            re.sub(r"[^\w\- ]", "", line).strip().lower().replace(" ", "-")
+            for line in re.findall(r"^#+ (.*)", README, re.MULTILINE)
+        }
+        for target in re.findall(r"\]\(([^)]+)\)", README):
+            if target.startswith("#"):
+                assert target[1:] in headings
+            else:
+                assert (ROOT / target).exists(), target
+
+    def test_pictures_are_modest(self) -> None:
+        for path in (ROOT / "docs").glob("*.*"):
+            assert path.stat().st_size < 300_000
+
+    @pytest.mark.parametrize("name", SAMPLE_NAMES)
+    def test_lists_every_channel_of_outputs(self, name: str, tmp_path: Path) -> None:
+        table = README.partition("## Output")[2].partition("###")[0]
+        with estimated(name, tmp_path).open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert summary is not None
+        new = [c for c in summary.channels.values() if c.topic.startswith("/mclass")]
+        assert len(new) > 5
+        for channel in new:
+            topic = re.sub(r"(?<=/pose/).*", "<id>", channel.topic)
+            topic = re.sub(r"(?<=/grid/).*", "<class>", topic)
+            schema = summary.schemas[channel.schema_id].name.replace("/msg/", "/")
+            assert f"`{topic}`" in table
+            assert f"`{schema}`" in table or schema == "mclass_msgs/Estimates"
+
+    @pytest.mark.parametrize("file", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+    def test_speaks_of_the_project_alone(self, file: str) -> None:
+        text = (ROOT / file).read_text(encoding="utf-8")
+        assert not re.search(r"https?://|/work/|/home/|/root/|issue #?\d", text)
+        assert max(map(len, text.splitlines())) <= 400
+
+    def test_version_is_in_the_changelog(self) -> None:
+        version = mclass("--version").stdout.split()[-1]
+        changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+        assert re.search(rf"^## {re.escape(version)}\b", changes, re.MULTILINE)
+        assert f'version = "{version}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def model_keys(node: Any) -> Iterator[str]:
+    """The keys that the schema of model files names, at any depth."""
+    for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+        if key == "properties":
+            yield from value
+        if isinstance(value, dict | list):
+            yield from model_keys(value)
+
+
+class TestShippedFiles:
+    @pytest.mark.parametrize("path", MODELS, ids=lambda path: path.name)
+    def test_models_load_and_can_be_looked_at(self, path: Path, tmp_path: Path) -> None:
+        load_model(path)
+        assert "is valid" in mclass("check", path).stdout
+        picture = tmp_path / "model.svg"
+        assert path.name in mclass("inspect", "model", path, "--plot", picture).stdout
+        assert picture.stat().st_size > 1000
+
+    @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.name)
+    def test_scenarios_run(self, path: Path, tmp_path: Path) -> None:
+        log = tmp_path / "log.mcap"
+        mclass("simulate", path, "-o", log)
+        objects = mclass("estimate", log, "--format", "json").document["objects"]
+        there = {thing.object_id for thing in load_scenario(path).objects}
+        assert {entry["id"] for entry in objects} >= there
