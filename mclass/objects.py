@@ -151,6 +151,7 @@ class ObjectFilter:
                 )
             )
             self._lattice = LookLattice(len(centers), float(reach), *settings.correlation)
+            self._lattice_cells = np.arange(len(centers))
         last = np.full(len(self.candidates.cells), -1, dtype=np.int64)
         hits = self._hits
         for start in range(0, self.looks.n_steps, _STEPS_AT_ONCE):

@@ -20,17 +20,22 @@ CONFIGS = Path(__file__).parent.parent / "configs"
 @pytest.mark.parametrize("settings", [PAPER, ROBUST, replace(ROBUST, correlation=None)])
 @pytest.mark.parametrize("known", [False, True])
 def test_last_belief_needs_no_history(settings: InferenceSettings, known: bool) -> None:
-    scenario = load_scenario(CONFIGS / "scenarios" / "cas_lab.yaml")
-    model = load_model(CONFIGS / "cas_lab.yaml")
-    objects = model.objects if known else {}
-    grid = replace(model.grid, orientation_bins=36)
+    scenario = load_scenario(CONFIGS / "scenarios" / "office.yaml")
+    scenario = replace(
+        scenario,
+        trajectory=replace(scenario.trajectory, stops=scenario.trajectory.stops[:3]),
+        camera=replace(scenario.camera, rate=1.0),
+    )
+    model = load_model(CONFIGS / "office.yaml")
+    grid = replace(model.grid, orientation_bins=24, cell_size=0.2)
+    objects = {item.object_id: item.position for item in scenario.objects} if known else {}
     model = replace(model, inference=settings, objects=objects, grid=grid)
     measurements, _ = simulate_measurements(scenario)
     followed, beliefs = estimate_objects(prepare(model, measurements))
     ends, end_beliefs = estimate_objects(prepare(model, measurements), history=False)
     last = {estimate.object_id: estimate for estimate in followed}
     assert {estimate.object_id for estimate in ends} == last.keys()
-    assert len(followed) > len(ends)
+    assert len(followed) > 5 * len(ends)
     for end in ends:
         one = last[end.object_id]
         assert end.class_probabilities == pytest.approx(one.class_probabilities, abs=1e-9)
@@ -41,5 +46,9 @@ def test_last_belief_needs_no_history(settings: InferenceSettings, known: bool) 
             one.labels,
         )
     for belief, end_belief in zip(beliefs, end_beliefs, strict=True):
-        assert np.array_equal(belief.cells, end_belief.cells)
-        assert end_belief.log_cell_mass == pytest.approx(belief.log_cell_mass, abs=1e-6)
+        # What has no mass may be left out by one and not by the other.
+        shared, there, here = np.intersect1d(belief.cells, end_belief.cells, return_indices=True)
+        assert np.exp(belief.log_cell_mass[there]).sum() == pytest.approx(1.0, abs=1e-6)
+        masses = np.exp(belief.log_cell_mass[there]), np.exp(end_belief.log_cell_mass[here])
+        assert len(shared) >= 1
+        assert masses[1] == pytest.approx(masses[0], abs=1e-6)
