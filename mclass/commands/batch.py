@@ -118,7 +118,6 @@ def batch(
     version; so an interrupted batch goes on where it stopped. The exit code is the worst of
     all logs': 1 failed, then 2 no usable model, 4 a threshold missed, 3 damaged, 0 all well.
 
-    \b
     Figures for --fail-on: skipped and used (detections; with % of all), objects, entropy and
     mean_entropy (of the objects' classes, in nats), background (objects most probably
     nothing), ties (both with % of all objects), damage (kinds found), seconds.
@@ -127,7 +126,7 @@ def batch(
     Examples:
       mclass batch logs/ -c boxes.yaml -o results
       mclass batch 'fleet/**/*.mcap' -o results -j 2 --junit results.xml
-      mclass batch logs/ -o results --fail-on 'skipped > 5 %' --fail-on 'objects < 3'
+      mclass batch logs/ -o out --fail-on 'skipped > 5 %' --fail-on 'objects < 3'
       mclass batch logs/ -o new --baseline old/results.json
     """
     from mclass.batch.judgement import METRICS, Tolerances
