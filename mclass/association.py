@@ -8,7 +8,6 @@ association: at most one detection of a frame belongs to an object).
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -142,7 +141,7 @@ def _place(
     if candidates is None:
         return None
     followed = object_looks(looks, group.rows, group.shares)
-    readout = deque(ObjectFilter(engine, followed, candidates, log_priors).steps(), maxlen=1)[0]
+    readout = ObjectFilter(engine, followed, candidates, log_priors).finish()
     log_mass = logsumexp(readout.log_joint[:, 1:], axis=1)
     mass = np.exp(log_mass - log_mass.max())
     class_index = int(np.argmax(logsumexp(readout.log_joint[:, 1:], axis=0)))

@@ -22,7 +22,7 @@ _DENSE_SHARE = 0.1
 """Above this filling a matrix product is faster dense than sparse."""
 
 _DENSE_BYTES = 2**22
-_SPREADS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8)
+_SPREADS = (0.0, 0.15, 0.3, 0.6, 1.0)
 """Standard deviations of the sensor's position [m] for which terms are tabulated."""
 
 _PAIRS_AT_ONCE = 2**13

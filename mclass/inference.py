@@ -158,11 +158,9 @@ def estimate_objects(
         if position is not None:
             candidates = known_position(position, model.grid.cell_size)
         else:
-            located = np.isfinite(problem.looks.pointing.directions[rows]).all(axis=1)
-            rows, shares = rows[located], shares[located]
-            if problem.grid is None or len(rows) == 0:
-                continue
-            found = pointed_cells(problem.grid, problem.looks.pointing, rows)
+            found = None
+            if problem.grid is not None:
+                found = pointed_cells(problem.grid, problem.looks.pointing, rows)
             if found is None:
                 continue
             candidates = found

@@ -160,7 +160,9 @@ def _peaks_and_saddles(density: FloatArray) -> tuple[IntArray, IntArray]:
     for before, peak in zip(np.roll(peaks, 1), peaks, strict=True):
         span = (peak - before - 1) % len(density) + 1
         between = (before + np.arange(span)) % len(density)
-        saddles.append(between[np.argmin(density[between])])
+        # On a flat valley floor the middle stands for all of it.
+        low = np.flatnonzero(density[between] <= density[between].min() * (1.0 + 1e-6))
+        saddles.append(between[low[len(low) // 2]])
     return peaks, np.array(saddles)
 
 

@@ -94,7 +94,8 @@ class BeliefBlock:
         log_cell_mass: Log probability that the object is in the cell; zeros for the grid, (m,).
         log_class_probability: Given the cell, background first, (m, 1 + n).
         log_density: Log orientation density given cell and class [1/rad], bin b centred
-            at 2 pi b / bins, (m, n, bins), float32.
+            at 2 pi b / bins, normalised so that its sum over the bins times their width is 1
+            (class probabilities come from finer sums), (m, n, bins), float32.
         measurements: How many measurements touched each cell, (m,).
     """
 

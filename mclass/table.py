@@ -39,7 +39,7 @@ _DEPTH = 8.0
 _BIN_TOLERANCE = 2e-4
 """Error allowed between orientation bins, where errors of either sign largely cancel."""
 
-_MOST_BINS = 4
+_MOST_BINS = 288
 _HALF_WAY = np.array([1.0, 237.0, 1682.0, 1682.0, 237.0, 1.0]) / 3840.0
 """Quintic B-spline half-way between two nodes."""
 
@@ -181,12 +181,13 @@ def resolving_bins(terms: Sequence[Term], bins: int, min_range: float, max_range
     measurements would add up their interpolation errors.
     """
     ranges = np.linspace(min_range, max_range, 12)
-    for factor in range(1, _MOST_BINS):
+    most = max(4, -(-_MOST_BINS // bins))
+    for factor in range(1, most):
         count = bins * factor
         errors = [_aspect_error(term, ranges, count) for term in terms if len(term.classes)]
         if max(errors, default=0.0) <= _BIN_TOLERANCE:
             return count
-    return bins * _MOST_BINS
+    return bins * most
 
 
 def _aspect_error(term: Term, ranges: FloatArray, count: int) -> float:

@@ -38,8 +38,17 @@ class ViewpointMixture:
         shapes = (self.means.shape, self.covariances.shape)
         if shapes != ((count, 2), (count, 2, 2)):
             raise ModelError(f"a mixture of {count} viewpoints has arrays of shape {shapes}")
+        every = (self.weights, self.means, self.covariances)
+        if not all(np.isfinite(values).all() for values in every):
+            raise ModelError("a mixture of viewpoints holds a number that is not finite")
+        if np.any(self.weights <= 0.0):
+            raise ModelError("a viewpoint's weight is not positive")
+        if not np.allclose(self.covariances, self.covariances.swapaxes(1, 2)):
+            raise ModelError("a viewpoint's covariance is not symmetric")
         if np.any(np.linalg.eigvalsh(self.covariances) <= 0.0):
             raise ModelError("a viewpoint's covariance is not positive definite")
+        if not np.all(self.bearing_variances > 0.0):
+            raise ModelError("a viewpoint's bearing variance is not positive")
 
     @property
     def has_bearing(self) -> bool:
