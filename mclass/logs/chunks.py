@@ -48,6 +48,16 @@ class Kind(enum.Enum):
     CUT = "cut"
 
 
+class State(enum.Enum):
+    """What is known of a chunk's bytes, and so what becomes of them in a copy."""
+
+    SOUND = "sound"
+    RAGGED = "ragged"
+    """Holds records that no reader can use among others: written anew without them."""
+    BROKEN = "broken"
+    """No reader gets anything out of it, and most stop at it: left out."""
+
+
 @dataclass
 class ChunkEntry:
     """Where a chunk is and what it holds, known without decompressing it.
@@ -65,6 +75,7 @@ class ChunkEntry:
         index_offsets: Where in the file each channel's message index is.
         counts: Messages of each channel; None while unknown.
         lost: Whether it turned out that the content cannot be used.
+        state: Whether a copy can take the bytes as they are.
     """
 
     kind: Kind
@@ -79,6 +90,7 @@ class ChunkEntry:
     index_offsets: dict[int, int] = field(default_factory=dict)
     counts: dict[int, int] | None = None
     lost: bool = False
+    state: State = State.SOUND
 
     @property
     def messages(self) -> int | None:
@@ -117,7 +129,14 @@ class ChunkContent:
 
 
 class ChunkLostError(Exception):
-    """A chunk cannot be used; the text ends a sentence that says so."""
+    """A chunk cannot be used; the text ends a sentence that says so.
+
+    ``broken`` tells that others cannot use it either.
+    """
+
+    def __init__(self, reason: str, *, broken: bool = True) -> None:
+        self.broken = broken
+        super().__init__(reason)
 
 
 class IndexLiesError(Exception):
@@ -138,7 +157,7 @@ def read_chunk(source: Source, entry: ChunkEntry) -> ChunkContent:
     except LogError as error:
         raise ChunkLostError(f"the disk fails ({error})") from error
     except MemoryError:
-        raise ChunkLostError("it needs more memory than there is") from None
+        raise ChunkLostError("it needs more memory than there is", broken=False) from None
 
 
 def _read_chunk(source: Source, entry: ChunkEntry) -> ChunkContent:
@@ -148,7 +167,7 @@ def _read_chunk(source: Source, entry: ChunkEntry) -> ChunkContent:
     head = _checked_head(record, entry)
     packed = memoryview(record)[head.data_offset : head.data_offset + head.compressed_size]
     data = decompress(head.compression, packed, head.uncompressed_size)
-    if entry.kind is Kind.CUT:
+    if entry.kind is Kind.CUT and len(data) < head.uncompressed_size:
         return _by_walking(data)
     if len(data) != head.uncompressed_size:
         raise ChunkLostError("its data decompresses to another size than it says")
@@ -174,7 +193,8 @@ def decompress(compression: str, data: memoryview, size: int) -> bytes:
     elif compression == "lz4":
         take = _lz4_taker(data)
     else:
-        raise ChunkLostError(f"its compression {compression!r} is not known; known: lz4, zstd")
+        reason = f"its compression {compression!r} is not known; known: lz4, zstd"
+        raise ChunkLostError(reason, broken=False)
     pieces = []
     missing = size + 1
     try:
@@ -203,7 +223,9 @@ def _lz4_taker(data: memoryview) -> Callable[[int], bytes]:
 def _checked_head(record: bytes, entry: ChunkEntry) -> ChunkHead:
     try:
         _, length = record_head(record)
-        head = parse_chunk_head(record[: RECORD_HEAD + CHUNK_HEAD + _LONGEST_NAME])
+        head = parse_chunk_head(
+            record[: RECORD_HEAD + CHUNK_HEAD + _LONGEST_NAME], any_length=entry.kind is Kind.CUT
+        )
     except MalformedError:
         raise IndexLiesError from None
     agrees = (

@@ -15,6 +15,7 @@ from mclass.logs.chunks import (
     ChunkLostError,
     IndexLiesError,
     Kind,
+    State,
     read_chunk,
 )
 from mclass.logs.damage import Damage
@@ -76,12 +77,15 @@ def use_content(entry: ChunkEntry, content: ChunkContent, damage: Damage) -> Non
         times = content.heads["log_time"]
         entry.start_time, entry.end_time = int(times.min()), int(times.max())
     elif content.unusable and entry.kind is not Kind.CUT:
+        entry.state = State.RAGGED
         damage.lose("records in this chunk are broken", entry.offset, chunks=1)
 
 
 def lose_chunk(entry: ChunkEntry, error: ChunkLostError, damage: Damage) -> None:
     """Count a whole chunk as lost."""
     entry.lost = True
+    if error.broken:
+        entry.state = State.BROKEN
     n_bytes, messages = entry.length, entry.messages
     damage.lose(str(error), entry.offset, chunks=1, n_bytes=n_bytes, messages=messages)
 

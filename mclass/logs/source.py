@@ -49,6 +49,8 @@ class Source:
             LogError: If the disk fails.
         """
         length = max(0, min(length, self.size - offset))
+        if not length:
+            return b""
         try:
             self._file.seek(offset)
             data = self._file.read(length)

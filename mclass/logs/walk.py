@@ -53,7 +53,8 @@ class LogIndex:
         has_header: Whether a header record was read.
         schemas: By id.
         channels: By id.
-        chunks: In file order; runs of messages outside chunks and a cut chunk among them.
+        chunks: In file order; runs of messages outside chunks, a chunk that is cut and those
+            of a wrong length among them.
         attachments: In file order.
         metadata: In file order.
         kept: Byte ranges of whole records without the runs of loose messages; with the
@@ -192,6 +193,9 @@ class Walk:
             self._strays[position] = following
             return following
         if opcode == Opcode.CHUNK:
+            end = self._end_by_sizes(position)
+            if end is not None and end != following:
+                return self._misfit_chunk(position, end)
             return self._chunk(position, following)
         try:
             self._other_record(opcode, position, following - position)
@@ -246,8 +250,30 @@ class Walk:
         self._keep(position, following + entry.index_length)
         return end
 
-    def _chunk_entry(self, kind: Kind, position: int, following: int) -> ChunkEntry:
-        head = parse_chunk_head(self._source.peek(position, PEEK))
+    def _end_by_sizes(self, position: int) -> int | None:
+        """Where the chunk at ``position`` ends by the sizes in its head, if a record is next."""
+        try:
+            head = parse_chunk_head(self._source.peek(position, PEEK), any_length=True)
+        except MalformedError:
+            return None
+        end = position + head.data_offset + head.compressed_size
+        return end if self._finder.span(end) is not None else None
+
+    def _misfit_chunk(self, position: int, end: int) -> int:
+        """Take a chunk whose length is wrong, but whose sizes lead to the next record."""
+        if self._summary is not None:
+            raise UntrustedSummaryError(f"the chunk at byte {position} has a wrong length")
+        entry = self._chunk_entry(Kind.CUT, position, end, any_length=True)
+        self._index.chunks.append(entry)
+        self._damage.remark(f"the chunk at byte {position} has a wrong length; its sizes were used")
+        while (span := self._finder.span(end)) and span[0] == Opcode.MESSAGE_INDEX:
+            end = span[1]
+        return end
+
+    def _chunk_entry(
+        self, kind: Kind, position: int, following: int, *, any_length: bool = False
+    ) -> ChunkEntry:
+        head = parse_chunk_head(self._source.peek(position, PEEK), any_length=any_length)
         return ChunkEntry(
             kind,
             position,
@@ -297,6 +323,9 @@ class Walk:
         self._close_run()
         if self._summary is not None:
             raise UntrustedSummaryError(f"there is no record at byte {position}")
+        end = self._end_by_sizes(position)
+        if end is not None:
+            return self._misfit_chunk(position, end)
         if self._cut_chunk(position):
             return None
         following = self._finder.resync(position)

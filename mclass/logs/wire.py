@@ -176,8 +176,12 @@ def parse_channel(record: bytes) -> ChannelRecord:
     return ChannelRecord(channel_id, schema_id, topic, encoding, cursor.string_map(), record)
 
 
-def parse_chunk_head(start: bytes) -> ChunkHead:
+def parse_chunk_head(start: bytes, *, any_length: bool = False) -> ChunkHead:
     """The first bytes of a chunk record (up to ``CHUNK_HEAD`` and a short name are enough).
+
+    Args:
+        start: The bytes.
+        any_length: Whether the record's length may contradict the sizes within.
 
     Raises:
         MalformedError: If its sizes contradict each other.
@@ -190,7 +194,7 @@ def parse_chunk_head(start: bytes) -> ChunkHead:
         raise MalformedError("not a chunk")
     compression = cursor.take(name_length).decode("utf-8", "replace")
     size = cursor.u64()
-    if CHUNK_HEAD + name_length + size > length:
+    if CHUNK_HEAD + name_length + size > length and not any_length:
         raise MalformedError("a chunk whose data is longer than itself")
     return ChunkHead(*head, compression, cursor.position, size)
 

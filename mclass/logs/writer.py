@@ -4,12 +4,14 @@ The data section of the source is copied byte for byte, neither decoded nor comp
 new chunks, attachments and metadata follow, then one summary over old and new. Of a log that
 is not whole, all that holds is carried over:
 
-- Whole records are copied as they are. So is a chunk whose content is damaged: it is not
-  opened, and what others can still get out of it is not lost.
+- Whole records are copied as they are; chunks are not opened for that.
+- A chunk that proved broken when it was read is left out, since most readers stop at it. What
+  it defined is written in its place. (A chunk of a compression that we do not know is kept.)
 - Bytes that are no records are left out, since a reader could not get past them.
 - Messages outside of chunks are put into uncompressed chunks of their own, record for record
   the same, because a log with both would hide them from readers that go by the chunk index.
-  Likewise the whole messages of a chunk that the end of the file cuts off.
+  Likewise the whole messages of a chunk that the end of the file cuts off, that has a wrong
+  length or in which broken records stand among others.
 - Attachments and metadata stay even if new ones bear the same name; readers such as
   ``LogReader`` give the last one.
 
@@ -25,7 +27,7 @@ import dataclasses
 import itertools
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from pathlib import Path
 from types import TracebackType
 
@@ -43,7 +45,7 @@ from mcap.records import (
 )
 
 from mclass.errors import LogError
-from mclass.logs.chunks import ChunkEntry, ChunkLostError, Kind, read_chunk
+from mclass.logs.chunks import ChunkEntry, ChunkLostError, Kind, State, read_chunk
 from mclass.logs.closing import Contents, record_bytes
 from mclass.logs.pending import PendingFile
 from mclass.logs.reader import LogReader
@@ -297,7 +299,7 @@ class LogWriter:
 
         shifts = self._copy_records(reader)
         for entry in index.chunks:
-            if entry.kind is Kind.CHUNK:
+            if _is_copied(entry):
                 contents.add_chunk(_moved(entry, shifts(entry.offset)), entry.counts or {})
         contents.chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
         for attachment in index.attachments:
@@ -310,21 +312,26 @@ class LogWriter:
     def _copy_records(self, reader: LogReader) -> Callable[[int], int]:
         """Copy whole records; returns by how many bytes each place of the source moved."""
         index = reader.index
+        anew = [entry for entry in index.chunks if not _is_copied(entry)]
+        kept = _without(
+            index.kept,
+            [
+                (e.offset, e.offset + e.length + e.index_length)
+                for e in anew
+                if e.kind is Kind.CHUNK
+            ],
+        )
         pieces: list[tuple[int, int, ChunkEntry | None]] = [
-            *((start, end, None) for start, end in index.kept),
-            *(
-                (entry.offset, entry.offset + entry.length, entry)
-                for entry in index.chunks
-                if entry.kind is not Kind.CHUNK
-            ),
+            *((start, end, None) for start, end in kept),
+            *((entry.offset, entry.offset + entry.length, entry) for entry in anew),
         ]
         starts, shifts = [], []
-        whole = index.kept == [(len(MAGIC), index.data_end)]
+        whole = kept == [(len(MAGIC), index.data_end)]
         # What the kernel copies is never seen here: continue the source's checksum or have none.
         self._crc = (index.data_crc or None) if whole else None
-        for start, end, loose in sorted(pieces, key=lambda piece: piece[0]):
-            if loose is not None:
-                self._wrap(reader, loose)
+        for start, end, entry in sorted(pieces, key=lambda piece: piece[0]):
+            if entry is not None:
+                self._wrap(reader, entry)
                 continue
             starts.append(start)
             shifts.append(self._position - start)
@@ -341,6 +348,10 @@ class LogWriter:
         try:
             content = read_chunk(reader.source, entry)
         except ChunkLostError:
+            # It may have defined what follows.
+            self._emit(
+                b"".join((*self._contents.schemas.values(), *self._contents.channels.values()))
+            )
             return
         known = np.isin(content.heads["channel"], list(self._contents.channels))
         if known.all() and not content.unusable:
@@ -419,6 +430,29 @@ class LogWriter:
             self._flush_chunk()
         self._emit(record_bytes(DataEnd(self._crc or 0)))
         self._contents.write_end(self._file.write, self._position)
+
+
+def _is_copied(entry: ChunkEntry) -> bool:
+    """Whether a copy takes the chunk's bytes as they are."""
+    return entry.kind is Kind.CHUNK and entry.state is State.SOUND
+
+
+def _without(
+    ranges: Sequence[tuple[int, int]], holes: Sequence[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Ranges of bytes without those of the holes, which lie in them; both in file order."""
+    left = []
+    waiting = list(reversed(holes))
+    for start, end in ranges:
+        begin = start
+        while waiting and waiting[-1][0] < end:
+            hole_start, hole_end = waiting.pop()
+            if hole_start > begin:
+                left.append((begin, hole_start))
+            begin = hole_end
+        if end > begin:
+            left.append((begin, end))
+    return left
 
 
 def _moved(entry: ChunkEntry, shift: int) -> ChunkIndex:
