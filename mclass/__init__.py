@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from mclass.config.model_file import load_model, parse_model
     from mclass.errors import ConfigError, LogError, MclassError, ModelError, UsageError
     from mclass.findings import Estimate
+    from mclass.fusion import fuse
     from mclass.model import Model
     from mclass.outputs.readback import OutputLog
     from mclass.pipeline import estimate, infer
@@ -39,6 +40,7 @@ __all__ = [
     "UsageError",
     "__version__",
     "estimate",
+    "fuse",
     "infer",
     "load_model",
     "measurements_from_arrays",
@@ -56,6 +58,7 @@ _HOMES = {
     "OutputLog": "outputs.readback",
     "UsageError": "errors",
     "estimate": "pipeline",
+    "fuse": "fusion",
     "infer": "pipeline",
     "load_model": "config.model_file",
     "measurements_from_arrays": "arrays",

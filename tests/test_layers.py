@@ -24,14 +24,15 @@ MATHEMATICS = (
     ("belief", "looks", "summary"),
     ("gridmap", "objects"),
     ("inference",),
-    ("cells", "arrays"),
+    ("cells", "arrays", "joining"),
 )
 LAYERS = (
     *MATHEMATICS,
     ("resources", "rules", "findings"),
     ("messages", "config"),
     ("logs",),
-    ("outputs", "simulation", "evaluation"),
+    ("outputs", "simulation"),
+    ("evaluation",),
     ("text",),
     ("plot",),
     ("pipeline", "initialise", "inspection"),

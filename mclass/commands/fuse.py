@@ -1,0 +1,113 @@
+"""``mclass fuse``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from mclass.commands.options import LOG, echo_json, format_option, overwrite_option
+
+
+@click.command(short_help="Join results of several logs or robots in one map.")
+@click.argument("outputs", nargs=-1, required=True, type=LOG, metavar="OUT...")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="MAP.mcap",
+    required=True,
+    help="Where to write; a log of the channels /mclass/... alone.",
+)
+@click.option(
+    "--frames",
+    type=click.Path(path_type=Path),
+    metavar="FRAMES.yaml",
+    help="Where each output's world lies in the common one: lines such as "
+    "'hall: {x: 12.5, y: -3, heading_deg: 90}', by path, file name or stem. "
+    "Without it all are in the same world.",
+)
+@click.option(
+    "-c",
+    "--model",
+    "model_path",
+    type=click.Path(path_type=Path),
+    metavar="MODEL.yaml",
+    help="Model to use instead of the outputs' own, which must otherwise be the same.",
+)
+@click.option(
+    "--separate-ids",
+    is_flag=True,
+    help="Equal ids in different outputs are different objects: call them NAME/ID.",
+)
+@click.option("--frame", metavar="NAME", help="Name of the common world.")
+@click.option("--prefix", default="/mclass", show_default=True, help="Prefix of the topics.")
+@overwrite_option
+@format_option
+def fuse(
+    *,
+    outputs: tuple[Path, ...],
+    output: Path,
+    frames: Path | None,
+    model_path: Path | None,
+    separate_ids: bool,
+    frame: str | None,
+    prefix: str,
+    overwrite: bool,
+    output_format: str,
+) -> None:
+    """Join the measurements in OUT... and estimate anew, as if all were of one log.
+
+    The belief is exactly that of one log holding all measurements: the prior counts once, and
+    looks from one place share one vote whichever log they are in. Objects of equal id are the
+    same object. The map can be inspected, evaluated and fused again like any output.
+
+    \b
+    Examples:
+      mclass fuse monday.mclass.mcap tuesday.mclass.mcap -o map.mcap
+      mclass fuse robot1.mclass.mcap robot2.mclass.mcap -o map.mcap --frames frames.yaml
+      mclass fuse results/*.mclass.mcap -o map.mcap --separate-ids
+    """
+    from mclass.fusion import fuse as fuse_outputs
+    from mclass.text.documents import estimate_json
+    from mclass.text.reports import estimate_text
+    from mclass.text.terminal import Terminal
+
+    found = fuse_outputs(
+        outputs,
+        output,
+        frames=frames,
+        model=model_path,
+        separate_ids=separate_ids,
+        frame=frame,
+        prefix=prefix,
+        overwrite=overwrite,
+    )
+    names = ", ".join(map(str, outputs))
+    if output_format == "json":
+        document = estimate_json(
+            input_path=names,
+            output_path=str(output),
+            model_name=found.model.name,
+            used=found.used,
+            skipped=found.skipped,
+            objects=found.objects,
+            class_names=found.class_names,
+            frame=found.frame,
+        )
+        echo_json({**document, "input": [str(path) for path in outputs]})
+        return
+    click.echo(
+        estimate_text(
+            input_path=names,
+            output_path=str(output),
+            model_name=found.model.name,
+            used=found.used,
+            skipped=found.skipped,
+            objects=found.objects,
+            class_names=found.class_names,
+            frame=found.frame,
+            terminal=Terminal.of(sys.stdout),
+        )
+    )
