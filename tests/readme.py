@@ -38,8 +38,7 @@ class Block:
 def blocks(readme: str) -> list[Block]:
     """The fenced blocks, in order."""
     return [
-        Block(found[1], found[2], found.start(2), found.end(2))
-        for found in _FENCE.finditer(readme)
+        Block(found[1], found[2], found.start(2), found.end(2)) for found in _FENCE.finditer(readme)
     ]
 
 
@@ -75,14 +74,17 @@ def run(command: str, folder: Path) -> str:
     return done.stdout
 
 
-def same_output(shown: str, printed: str) -> bool:
+def same_output(command: str, shown: str, printed: str) -> bool:
     """Whether two outputs agree: texts exactly, numbers to one unit of the last digit shown.
 
     Processors and libraries round the last bit differently, and a printed digit may turn on
-    it; spaces that make room for a number may change with it.
+    it; spaces that make room for a number may change with it. ``mclass batch`` prints how
+    long it took: there, any number goes.
     """
     if _words(shown) != _words(printed):
         return False
+    if command.startswith("mclass batch"):
+        return True
     pairs = zip(_NUMBER.findall(shown), _NUMBER.findall(printed), strict=True)
     return all(_same_number(a, b) for a, b in pairs)
 

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from sample_runs import CONFIGS, ROOT, SAMPLE_NAMES, estimated, mclass
 
 from mclass.commands.cli import main
-from mclass.config.model_file import load_model, parse_model
+from mclass.config.model_file import DEFAULT_PRESET, load_model, parse_model
 from mclass.simulation.scenario_file import load_scenario
 
 README = readme.README.read_text(encoding="utf-8")
@@ -90,19 +90,22 @@ class TestReadme:
         for command, shown, _ in readme.examples(README):
             printed = readme.run(command, tmp_path)
             count += 1
-            if not readme.same_output(shown, printed):
+            if not readme.same_output(command, shown, printed):
                 wrong.append(f"$ {command}\n--- shown\n{shown}--- printed\n{printed}")
         assert count > 10
         assert not wrong, "run `python tests/readme.py`\n\n" + "\n".join(wrong)
 
     def test_comparison_can_fail(self) -> None:
         shown = "P 0.4963  x 4.00 ± 0.10, 2.7e-20, 12 used\n"
-        assert readme.same_output(shown, shown)
-        assert readme.same_output(shown, "P 0.4962 x 4.00 ± 0.10, 3.1e-21, 12 used\n")
-        assert not readme.same_output(shown, shown.replace("0.4963", "0.4965"))
-        assert not readme.same_output(shown, shown.replace("12", "13"))
-        assert not readme.same_output(shown, shown.replace("used", "left"))
-        assert not readme.same_output(shown, shown + "more\n")
+        assert readme.same_output("mclass estimate", shown, shown)
+        assert readme.same_output(
+            "mclass estimate", shown, "P 0.4962 x 4.00 ± 0.10, 3.1e-21, 12 used\n"
+        )
+        assert not readme.same_output("mclass estimate", shown, shown.replace("0.4963", "0.4965"))
+        assert not readme.same_output("mclass estimate", shown, shown.replace("12", "13"))
+        assert not readme.same_output("mclass estimate", shown, shown.replace("used", "left"))
+        assert not readme.same_output("mclass estimate", shown, shown + "more\n")
+        assert readme.same_output("mclass batch logs", shown, shown.replace("12", "13"))
 
     @pytest.mark.parametrize("name", [name for name in COMMANDS if name != "mclass"])
     def test_shows_every_command_with_output(self, name: str) -> None:
@@ -135,6 +138,7 @@ class TestReadme:
         """Whole ones by themselves, sections in place of the first whole one's."""
         texts = [block.text for block in readme.blocks(README) if block.kind == "yaml"]
         whole = next(text for text in texts if "classes:" in text)
+        assert f"| preset `{DEFAULT_PRESET}` |" in README
         assert sum("classes:" not in text for text in texts) > 1
         for text in texts:
             base = {} if "classes:" in text else yaml.safe_load(whole)
