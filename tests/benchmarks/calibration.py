@@ -6,8 +6,8 @@ Simulated drives past boxes, in several sets. The simulator is not the model: it
 flat sectors or round lobes, cut off by distance, errs alike for as long as the view stays
 alike, misses, flips labels, sees what is not there, and drifts. The model that inference gets
 holds Gaussians; the plain paper is also told that there is an object, since by its background
-constant there hardly ever is. Everything is computed in memory. With a folder of recorded logs (``*_0.mcap``
-with ``truth_0.json`` beside it) these make one more set.
+constant there hardly ever is. Everything is computed in memory. With a folder of recorded
+logs (``*_0.mcap`` with ``truth_0.json`` beside it) these make one more set.
 """
 
 from __future__ import annotations
