@@ -6,9 +6,10 @@ import numpy as np
 
 from mclass.belief import posterior
 from mclass.evidence import Evidence, Pairs
-from mclass.footprint import Grid
+from mclass.footprint import Grid, Tile, tiles
+from mclass.gridmap import Causes, tile_pairs
 from mclass.inference import Problem
-from mclass.looks import grid_pairs, object_looks
+from mclass.looks import object_looks
 from mclass.orientation import find_modes, refine, resolution_factors
 from mclass.records import FloatArray, IntArray
 from mclass.results import BeliefBlock, CellReport, OrientationMode
@@ -50,14 +51,16 @@ def grid_history(problem: Problem, cell: int) -> list[CellReport]:
         cell: Flat index in the problem's grid.
     """
     assert problem.grid is not None
-    center = problem.grid.centers(np.array([cell]))
-    every = np.arange(len(problem.looks.frames))
-    return _history(
-        problem,
-        problem.grid,
-        cell,
-        grid_pairs(problem.looks, center, problem.grid.cell_size, every),
+    looks, grid = problem.looks, problem.grid
+    causes = Causes.found(
+        problem.engine,
+        looks,
+        grid,
+        problem.model.classes.log_priors,
+        list(tiles(grid, looks.pointing)),
     )
+    alone = Tile(np.array([cell]), np.arange(len(looks.frames)))
+    return _history(problem, grid, cell, tile_pairs(looks, grid, alone, causes))
 
 
 def object_history(problem: Problem, grid: Grid, cell: int, object_id: str) -> list[CellReport]:

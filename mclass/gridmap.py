@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mclass.belief import Posterior, posterior
-from mclass.evidence import Engine, Evidence
+from mclass.evidence import Engine, Evidence, Pairs
 from mclass.footprint import Grid, Tile, tiles
 from mclass.looks import Looks, grid_pairs
 from mclass.records import FloatArray, IntArray
+
+_ROUNDS = 4
+_MOST_LOG_ODDS = 30.0
 
 
 @dataclass(frozen=True)
@@ -22,14 +25,14 @@ class TileBelief:
         tile: Number of the tile, from 0.
         tiles: How many tiles the grid's belief has.
         cells: Flat indices of touched cells, (m,).
-        looks: How many looks touched each, (m,).
+        measurements: How many detections pointed at each, (m,).
         posterior: Their belief.
     """
 
     tile: int
     tiles: int
     cells: IntArray
-    looks: IntArray
+    measurements: IntArray
     posterior: Posterior
 
 
@@ -49,24 +52,91 @@ def grid_beliefs(
         For each tile one belief a cut; a tile that nothing has touched yet has no cells.
     """
     touched = list(tiles(grid, looks.pointing))
+    causes = Causes.found(engine, looks, grid, log_priors, touched)
     for number, tile in enumerate(touched):
+        pairs = tile_pairs(looks, grid, tile, causes)
         yield tuple(
             TileBelief(
                 number,
                 len(touched),
                 cells,
-                evidence.looks,
+                measurements,
                 posterior(evidence, log_priors, engine.shown_bins),
             )
-            for cells, evidence in _cumulative(engine, looks, grid, tile, cuts_ns)
+            for cells, measurements, evidence in _cumulative(engine, looks, tile, pairs, cuts_ns)
         )
 
 
-def _cumulative(
-    engine: Engine, looks: Looks, grid: Grid, tile: Tile, cuts_ns: Sequence[int]
-) -> Iterator[tuple[IntArray, Evidence]]:
-    """A tile's touched cells and their evidence up to each cut."""
+@dataclass(frozen=True)
+class Causes:
+    """How cells share the evidence of detections, each of which has but one cause.
+
+    A detection comes from one of the cells that it points at, or from none of them. A cell's
+    share is its odds of holding something over the sum of all those odds and one, for clutter;
+    the shares make the odds, so both are found in turn.
+
+    Attributes:
+        odds: Of something over nothing, by flat cell index; one where nothing is known.
+        totals: Sum over the cells that each detection points at, (n detections,).
+    """
+
+    odds: Mapping[int, float]
+    totals: FloatArray
+
+    @classmethod
+    def found(
+        cls,
+        engine: Engine,
+        looks: Looks,
+        grid: Grid,
+        log_priors: FloatArray,
+        touched: Sequence[Tile],
+    ) -> Causes | None:
+        """The shares after a few rounds; None where every cell takes all of the evidence."""
+        if not looks.settings.one_cause:
+            return None
+        causes: Causes | None = None
+        for _ in range(_ROUNDS):
+            odds: dict[int, float] = {}
+            for tile in touched:
+                pairs = tile_pairs(looks, grid, tile, causes)
+                log_class = posterior(engine.evidence(pairs), log_priors).log_class_probability
+                something = np.log1p(-np.minimum(np.exp(log_class[:, 0]), 1.0 - 1e-15))
+                log_odds = np.clip(something - log_class[:, 0], -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
+                odds.update(zip(tile.cells.tolist(), np.exp(log_odds).tolist(), strict=True))
+            totals = np.zeros(looks.n_detections)
+            for tile in touched:
+                pairs = tile_pairs(looks, grid, tile, None)
+                is_detection = pairs.looks < looks.n_detections
+                values = np.array([odds[cell] for cell in tile.cells.tolist()])
+                owners = np.repeat(np.arange(len(tile.cells)), pairs.counts)[is_detection]
+                np.add.at(totals, pairs.looks[is_detection], values[owners])
+            causes = cls(odds, totals)
+        return causes
+
+    def shares(self, looks: Looks, cells: IntArray, pairs: Pairs) -> FloatArray:
+        """Share of each pair's evidence that is its cell's; frames are shared by none, (p,)."""
+        values = np.array([self.odds.get(int(cell), 1.0) for cell in cells])
+        owners = np.repeat(np.arange(len(cells)), pairs.counts)
+        shares = np.ones(len(owners))
+        is_detection = pairs.looks < looks.n_detections
+        totals = self.totals[pairs.looks[is_detection]]
+        shares[is_detection] = values[owners[is_detection]] / (totals + 1.0)
+        return shares
+
+
+def tile_pairs(looks: Looks, grid: Grid, tile: Tile, causes: Causes | None) -> Pairs:
+    """The looks at a tile's cells, weighed."""
     pairs = grid_pairs(looks, grid.centers(tile.cells), grid.cell_size, tile.rows)
+    return pairs if causes is None else pairs.weighed(causes.shares(looks, tile.cells, pairs))
+
+
+def _cumulative(
+    engine: Engine, looks: Looks, tile: Tile, pairs: Pairs, cuts_ns: Sequence[int]
+) -> Iterator[tuple[IntArray, IntArray, Evidence]]:
+    """A tile's touched cells, how many detections pointed at each, and their evidence by cut."""
+    owners = np.repeat(np.arange(len(tile.cells)), pairs.counts)
+    is_detection = pairs.looks < looks.n_detections
     stamps = looks.stamps_ns[pairs.looks]
     total: Evidence | None = None
     before = np.iinfo(np.int64).min
@@ -74,5 +144,6 @@ def _cumulative(
         part = engine.evidence(pairs.select((stamps > before) & (stamps <= cut)))
         total = part if total is None else total + part
         kept = np.flatnonzero(total.looks)
-        yield tile.cells[kept], total.select(kept)
+        pointed = np.bincount(owners[is_detection & (stamps <= cut)], minlength=len(tile.cells))
+        yield tile.cells[kept], pointed[kept], total.select(kept)
         before = cut

@@ -258,7 +258,7 @@ class GridEstimate:
                     log_cell_mass=np.zeros(len(belief.cells)),
                     log_class_probability=belief.posterior.log_class_probability,
                     log_density=belief.posterior.log_density.astype(np.float32),
-                    measurements=belief.looks,
+                    measurements=belief.measurements,
                 )
 
     def maps(self) -> list[ClassMaps]:

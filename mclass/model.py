@@ -105,6 +105,11 @@ class InferenceSettings:
             linear between them and constant beyond; empty for 1 whatever the score.
         association: In a log without object ids, find which detections are of one object;
             needs ``probabilities``.
+        one_cause: A detection is caused by one cell of the grid that it points at, or by
+            none: they share its evidence, instead of each taking all of it.
+        trajectory_samples: Beliefs of objects are averaged over so many trajectories drawn
+            from the poses' covariance and drift, which err together; 0 takes poses as
+            independent.
     """
 
     preset: Literal["paper", "robust"] = "paper"
@@ -120,6 +125,8 @@ class InferenceSettings:
     drift: float = 0.0
     score_weights: tuple[tuple[float, float], ...] = ()
     association: bool = False
+    one_cause: bool = False
+    trajectory_samples: int = 0
 
     @property
     def log_outside(self) -> float:

@@ -153,6 +153,8 @@ def _inference(value: Value, unit: float) -> InferenceSettings:
         "drift": distance,
         "score_weights": _score_weights,
         "association": switch,
+        "one_cause": switch,
+        "trajectory_samples": integer(0, 1000),
     }
     found = fields(value, readers)
     if "pointing_std_deg" in found:
