@@ -23,6 +23,7 @@ MATHEMATICS = (
     ("evidence", "orientation"),
     ("belief", "looks", "summary"),
     ("gridmap", "objects"),
+    ("association",),
     ("inference",),
     ("cells", "arrays", "joining"),
 )

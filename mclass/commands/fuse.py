@@ -66,7 +66,7 @@ def fuse(
     \b
     Examples:
       mclass fuse monday.mclass.mcap tuesday.mclass.mcap -o map.mcap
-      mclass fuse robot1.mclass.mcap robot2.mclass.mcap -o map.mcap --frames frames.yaml
+      mclass fuse r1.mclass.mcap r2.mclass.mcap -o map.mcap --frames frames.yaml
       mclass fuse results/*.mclass.mcap -o map.mcap --separate-ids
     """
     from mclass.fusion import fuse as fuse_outputs
