@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mclass.association import Group, associate
+from mclass.drift import averaged, averaged_belief, sample_offsets, shifted
 from mclass.evidence import Engine
 from mclass.footprint import Grid, Pointing, covering_grid
 from mclass.gridmap import grid_beliefs
@@ -152,6 +153,7 @@ def estimate_objects(
     measurements, model = problem.measurements, problem.model
     updates: list[tuple[int, ObjectEstimate]] = []
     beliefs: list[BeliefBlock] = []
+    variants = _trajectories(problem)
     for object_id, group in _groups(problem):
         rows, shares = group.rows, group.shares
         position = model.objects.get(object_id)
@@ -164,14 +166,26 @@ def estimate_objects(
             if found is None:
                 continue
             candidates = found
-        looks = object_looks(problem.looks, rows, shares)
-        tracker = ObjectFilter(problem.engine, looks, candidates, model.classes.log_priors)
+        trackers = [
+            ObjectFilter(
+                variant.engine,
+                object_looks(variant.looks, rows, shares),
+                candidates,
+                model.classes.log_priors,
+            )
+            for variant in variants
+        ]
         stamps, log_times = measurements.stamps_ns[rows], measurements.log_times_ns[rows]
-        steps = enumerate(tracker.steps()) if history else [(len(rows) - 1, tracker.finish())]
-        for step, readout in steps:
+        first = 0 if history else len(rows) - 1
+        steps = (
+            zip(*(tracker.steps() for tracker in trackers), strict=True)
+            if history
+            else [tuple(tracker.finish() for tracker in trackers)]
+        )
+        for step, readouts in enumerate(steps, start=first):
             row = int(rows[step])
             estimate = summarise(
-                readout,
+                averaged(readouts),
                 object_id=object_id,
                 stamp_ns=int(stamps[step]),
                 log_time_ns=int(log_times[step]),
@@ -181,9 +195,23 @@ def estimate_objects(
                 known=candidates.known,
             )
             updates.append((row, estimate))
-        beliefs.append(tracker.belief(updates[-1][1]))
+        last = updates[-1][1]
+        blocks = [tracker.belief(last) for tracker in trackers]
+        beliefs.append(averaged_belief(blocks, [tracker.log_evidence for tracker in trackers]))
     updates.sort(key=lambda update: update[0])
     return [estimate for _, estimate in updates], beliefs
+
+
+def _trajectories(problem: Problem) -> list[Problem]:
+    """The problem as it stands or, where poses err together, for every sampled trajectory."""
+    model, measurements = problem.model, problem.measurements
+    settings = replace(model.inference, pose_uncertainty=True)
+    covariances = _covariances(settings, measurements.frames)
+    if model.inference.trajectory_samples == 0 or covariances is None:
+        return [problem]
+    exact = replace(model, inference=replace(model.inference, drift=0.0))
+    offsets = sample_offsets(covariances, model.inference.trajectory_samples)
+    return [prepare(exact, shifted(measurements, offset)) for offset in offsets]
 
 
 def _groups(problem: Problem) -> Iterator[tuple[str, Group]]:

@@ -272,17 +272,26 @@ class ObjectFilter:
         best = np.maximum(peak.max(axis=-1), total.background + self.log_priors[0])
         return np.asarray(best + log_outer)
 
-    def belief(self, last: ObjectEstimate) -> BeliefBlock:
-        """The full belief after the last measurement, cells of negligible mass left out."""
-        mass = np.where(
-            _is_candidate(self._hits), self._mass(self._total, self._log_outer), -np.inf
-        )
+    @property
+    def log_evidence(self) -> float:
+        """Log probability of all measurements so far, up to a constant of the looks alone."""
+        _, _, log_joint = self._joint()
+        return float(logsumexp(log_joint))
+
+    def _joint(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Cells that matter, their log likelihoods and log joint, background first."""
+        mass = self._mass(self._total, self._log_outer)
+        mass = np.where(_is_candidate(self._hits), mass, -np.inf)
         kept = np.flatnonzero(mass >= mass.max() - NEGLIGIBLE)
         classes = self._total.classes[kept]
         log_joint = np.concatenate(
             [self._total.background[kept, None], log_mean_exp(classes)], axis=1
         )
-        log_joint += self.log_priors + self._log_outer[kept, None]
+        return kept, classes, log_joint + self.log_priors + self._log_outer[kept, None]
+
+    def belief(self, last: ObjectEstimate) -> BeliefBlock:
+        """The full belief after the last measurement, cells of negligible mass left out."""
+        kept, classes, log_joint = self._joint()
         log_cell = logsumexp(log_joint, axis=1)
         return BeliefBlock(
             object_id=last.object_id,

@@ -99,12 +99,15 @@ def _place(
     peak = int(np.argmax(log_mass))
     if not np.isfinite(log_mass[peak]):
         return readout.centers.mean(axis=0), readout.centers.std(axis=0)
-    weights = np.exp(log_mass - log_mass[peak])
-    offset = readout.centers - readout.centers[peak]
+    # Averaged readouts hold a cell once for every trajectory.
+    centers, cell = np.unique(readout.centers, axis=0, return_inverse=True)
+    weights = np.bincount(cell, weights=np.exp(log_mass - log_mass[peak]))
+    peak = int(np.argmax(weights))
+    offset = centers - centers[peak]
     near = np.where(np.abs(offset).max(axis=1) <= 2.5 * cell_size, weights, 0.0)
     mean = weights @ offset / weights.sum()
     variance = weights @ (offset - mean) ** 2 / weights.sum() + cell_size**2 / 12.0
-    return readout.centers[peak] + near @ offset / near.sum(), np.sqrt(variance)
+    return centers[peak] + near @ offset / near.sum(), np.sqrt(variance)
 
 
 def _orientation_marginal(readout: Readout, index: int) -> FloatArray:
