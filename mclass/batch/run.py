@@ -125,6 +125,7 @@ def run_batch(
                     record.put(result)
                     if progress is not None:
                         progress(done, len(jobs), result)
+            _remove_leftovers(folder)
         finally:
             record.write()
         results = tuple(record.entries[name] for name in names)

@@ -37,6 +37,12 @@ if TYPE_CHECKING:
 @click.option(
     "-j", "--jobs", type=click.IntRange(min=1), metavar="N", help="Logs at once.  [default: cores]"
 )
+@click.option(
+    "--dask",
+    "dask_address",
+    metavar="ADDRESS",
+    help="Work on the Dask cluster with this scheduler; needs the extra mclass[dask].",
+)
 @time_options
 @click.option(
     "--every",
@@ -98,6 +104,7 @@ def batch(
     model_path: Path | None,
     folder: Path,
     jobs: int | None,
+    dask_address: str | None,
     start: str | None,
     end: str | None,
     every_s: float | None,
@@ -131,14 +138,21 @@ def batch(
     """
     from mclass.batch.judgement import METRICS, Tolerances
     from mclass.batch.record import read_results, write_whole
+    from mclass.batch.report import batch_json, batch_text, junit_cases
     from mclass.batch.run import Criteria, run_batch
     from mclass.batch.work import Estimation
     from mclass.config.model_file import load_model
     from mclass.rules import parse_rule
-    from mclass.batch.report import batch_json, batch_text, junit_cases
     from mclass.text.junit import junit_xml
     from mclass.text.terminal import Terminal
 
+    executor = None
+    if dask_address is not None:
+        from mclass.batch.cluster import on_cluster
+
+        if jobs is not None:
+            raise click.UsageError("--jobs is for this machine; the cluster has its own number")
+        executor = on_cluster(dask_address)
     criteria = Criteria(
         rules=[parse_rule(text, METRICS) for text in rule_texts],
         baseline=None if baseline_path is None else read_results(baseline_path),
@@ -155,6 +169,7 @@ def batch(
             folder,
             work,
             processes=jobs,
+            executor=executor,
             criteria=criteria,
             overwrite=overwrite,
             progress=progress,
