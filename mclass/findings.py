@@ -35,6 +35,7 @@ class Estimate:
         track: The poses that placed the measurements; None if no log was read.
         notes: What was chosen while reading the log, and why, in sentences.
         damage: Sentences on parts of the log that could not be used.
+        idle: Measurements among ``skipped`` that a class explains, but that concern no cell.
         input: The log; None if there is none.
         input_hash: ``sha256:`` and the hash of the log; empty unless an output was written.
         output: What was written; None if nothing was.
@@ -51,6 +52,7 @@ class Estimate:
     track: PoseTrack | None = None
     notes: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
+    idle: int = 0
     input: Path | None = None
     input_hash: str = ""
     output: Path | None = None
@@ -63,7 +65,7 @@ class Estimate:
     @property
     def used(self) -> int:
         """Number of measurements that took part."""
-        return len(self.problem.used)
+        return len(self.problem.used) - self.idle
 
     @property
     def class_names(self) -> tuple[str, ...]:

@@ -6,11 +6,13 @@ import contextlib
 import hashlib
 import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
+
+import numpy as np
 
 from mclass.config.find import MODEL_FILE_NAME, find_model
 from mclass.config.model_file import load_model, parse_model
@@ -30,11 +32,14 @@ from mclass.logs.times import find_time_bound
 from mclass.logs.writer import LogWriter
 from mclass.model import Model
 from mclass.outputs.channels import Encoding, OutputChannels
-from mclass.records import LabelMeasurements
+from mclass.records import LabelMeasurements, Tally
 from mclass.results import ObjectEstimate
 
 ModelSource: TypeAlias = "Model | str | os.PathLike[str]"
 """A model, the path of a model file, or the text of one (recognised by its line breaks)."""
+
+NOWHERE = "no direction, and no known position of the object"
+MISSED = "points at no cell (smaller grid.cell_size, or grid.footprint: ray)"
 
 _HASH_BLOCK = 1 << 20
 
@@ -99,10 +104,8 @@ def estimate(
         )
         problem = prepare(model, contents.measurements)
         skipped = _skipped(problem, contents.tally.counts)
-        damage = (*reader.damage.losses, *contents.losses)
-        if (skipped or damage) and len(problem.used) == 0:
-            reasons = (*(f"{count} {reason}" for reason, count in skipped.items()), *damage)
-            raise LogError(f"no detection can be used: {'; '.join(reasons)}", path=str(log))
+        losses = (*reader.damage.losses, *contents.losses)
+        _refuse_nothing(len(problem.used), skipped, losses, reader.path)
         input_hash = ""
         if output is None:
             found = _solve(problem, contents.frame, None, every_s)
@@ -118,6 +121,8 @@ def estimate(
                     writer, contents.encoding, contents.frame, model, prefix=prefix
                 )
                 found = _solve(problem, contents.frame, channels, every_s)
+                skipped = {**contents.tally.counts, **found.skipped}
+                _refuse_nothing(found.used, skipped, losses, reader.path)
                 settings = {
                     "preset": model.inference.preset,
                     "start": start,
@@ -131,7 +136,7 @@ def estimate(
                 channels.write_layout(log_time_ns)
         return replace(
             found,
-            skipped=skipped,
+            skipped={**contents.tally.counts, **found.skipped},
             track=contents.track,
             notes=(*contents.notes, *reader.damage.remarks),
             damage=(*reader.damage.losses, *contents.losses),
@@ -197,13 +202,39 @@ def infer(
     return replace(found, output=None if output is None else Path(output))
 
 
+def _refuse_nothing(
+    used: int, skipped: Mapping[str, int], losses: Collection[str], path: Path
+) -> None:
+    """Refuse a log of whose detections none can be used; one without any is no failure."""
+    if used == 0 and (skipped or losses):
+        reasons = (*(f"{count} {reason}" for reason, count in skipped.items()), *losses)
+        raise LogError(f"no detection can be used: {'; '.join(reasons)}", path=str(path))
+
+
 def _skipped(problem: Problem, counts: Mapping[str, int]) -> dict[str, int]:
-    """Detections left out while reading, and those that no class explains."""
-    skipped = dict(counts)
-    unexplained = len(problem.measurements) - len(problem.used)
-    if unexplained:
-        skipped[UNEXPLAINED] = unexplained
-    return skipped
+    """Detections left out while reading, and those that inference can make nothing of."""
+    tally = Tally(dict(counts))
+    tally.add(UNEXPLAINED, len(problem.measurements) - len(problem.used))
+    return tally.counts
+
+
+def _without_effect(problem: Problem, estimated: Collection[str]) -> dict[str, int]:
+    """Measurements that say nothing about any cell or object, by reason.
+
+    Args:
+        problem: What was solved.
+        estimated: Ids of the objects that have an estimate.
+    """
+    found, known = problem.measurements, problem.model.objects
+    located = np.isfinite(found.directions[problem.used]).all(axis=1)
+    # One more for the detections without id, whose index is -1.
+    owners = found.object_index[problem.used]
+    has_place = np.array([*(name in known for name in found.object_ids), False])[owners]
+    has_estimate = np.array([*(name in estimated for name in found.object_ids), True])[owners]
+    tally = Tally()
+    tally.add(NOWHERE, int((~located & ~has_place).sum()))
+    tally.add(MISSED, int((located & ~has_estimate).sum()))
+    return tally.counts
 
 
 def _solve(
@@ -234,6 +265,7 @@ def _solve(
     for update in updates:
         history.setdefault(update.object_id, []).append(update)
     ids = sorted(history)
+    idle = _without_effect(problem, history)
     return Estimate(
         model=problem.model,
         frame=frame,
@@ -243,7 +275,8 @@ def _solve(
             belief.object_id: belief for belief in sorted(beliefs, key=lambda b: b.object_id)
         },
         maps=maps[-1] if maps else None,
-        skipped=_skipped(problem, {}),
+        skipped={**_skipped(problem, {}), **idle},
+        idle=sum(idle.values()),
         problem=problem,
     )
 

@@ -239,6 +239,10 @@ class InputReader:
         for rank in sorted({source.rank for source in candidates}):
             for source in (s for s in candidates if s.rank == rank):
                 track = self._track(source, detections, cameras, by_log_time=unstamped)
+                if track.still and len(candidates) > 1:
+                    # A robot with odometry moves: where it does not cover the detections, what
+                    # never moves is a mounting, not the robot's place.
+                    continue
                 stamps = _stamps(detections, by_log_time=track.clock == "log")
                 covered = int(track.covered(stamps, self.max_gap_ns).sum())
                 tried.append((covered, track, source))

@@ -144,7 +144,24 @@ def _read_measurements(
             f"{_unusable(reader, inputs.sources)}",
             path=str(reader.path),
         )
+    _check_clocks(inputs, model.log.max_gap_ns, str(reader.path))
     return measure(inputs, model)
+
+
+def _check_clocks(inputs: Inputs, max_gap_ns: int, path: str) -> None:
+    """Refuse a log none of whose detection messages has a pose."""
+    poses, looks = inputs.track.poses.stamps_ns, inputs.stamps_ns
+    if not len(looks) or inputs.track.covered(looks, max_gap_ns).any():
+        return
+    (first_pose, last_pose), (first, last) = (
+        (f"{stamps.min() * 1e-9:.3f}", f"{stamps.max() * 1e-9:.3f}") for stamps in (poses, looks)
+    )
+    raise LogError(
+        f"no detection message has a pose within {max_gap_ns * 1e-9:g} s: poses are stamped "
+        f"{first_pose} to {last_pose} s, detections {first} to {last} s. Did their clocks differ? "
+        "Name another source as log.odometry, or allow more with log.max_gap.",
+        path=path,
+    )
 
 
 def _unusable(reader: LogReader, sources: Sources) -> str:
