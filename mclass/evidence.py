@@ -3,29 +3,36 @@
 A look is one instant at which a cell was measured: a detection, or a frame that returned
 nothing. Cells are rows; each row owns a run of (cell, look) pairs. Two ways lead from pairs to
 sums: tables (S @ D, fast, for grids) and direct evaluation (exact, for known positions and
-for models whose viewpoints have a bearing term). Both add the same terms.
+for models whose viewpoints have a bearing term). Both add the same terms. The product S @ D is
+taken row by row where rows have few pairs, as a convolution where they have many.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from threading import Lock
 
 import numpy as np
 from scipy.sparse import csr_array
 
+from mclass.convolution import ConvolutionTable, take_apart
 from mclass.footprint import Pointing
 from mclass.observation import Term, has_bearing
 from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.table import LikelihoodTable, build_table
 
-_DENSE_SHARE = 0.1
-"""Above this filling a matrix product is faster dense than sparse."""
-
-_DENSE_BYTES = 2**22
 _SPREADS = (0.0, 0.15, 0.3, 0.6, 1.0)
 """Standard deviations of the sensor's position [m] for which terms are tabulated."""
 
 _PAIRS_AT_ONCE = 2**13
+_TABULATED_AT_ONCE = 2**14
+_ROWS_AT_ONCE = 32
+"""Pairs and rows of which all there is to know fits the processor's cache."""
+
+_TRANSFORM_COST = 6.0
+"""What a number costs that is carried through an FFT, in numbers added to a sum."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,8 @@ class Pairs:
 
     def select(self, mask: BoolArray) -> Pairs:
         """Only the pairs in the mask, over the same rows."""
+        if mask.all():
+            return self
         kept = np.flatnonzero(mask)
         return Pairs(
             starts=np.searchsorted(kept, self.starts),
@@ -59,8 +68,9 @@ class Pairs:
 
     def weighed(self, weights: FloatArray) -> Pairs:
         """Pairs of positive weight, (p,), their scale multiplied by it."""
-        chosen = self.select(weights > 0.0)
-        weights = weights[weights > 0.0]
+        positive = weights > 0.0
+        chosen = self.select(positive)
+        weights = weights[positive]
         if (weights == 1.0).all():
             return chosen
         return replace(chosen, scale=weights if chosen.scale is None else chosen.scale * weights)
@@ -121,7 +131,10 @@ class Engine:
     term_weights: FloatArray
     position_covariances: FloatArray | None = None
     reported_bins: int = 0
-    _tables: dict[tuple[int, int, int], LikelihoodTable] = field(default_factory=dict)
+    _tables: dict[tuple[int, int, int], tuple[LikelihoodTable, ConvolutionTable]] = field(
+        default_factory=dict
+    )
+    _lock: Lock = field(default_factory=Lock)
 
     @property
     def shown_bins(self) -> int:
@@ -140,23 +153,33 @@ class Engine:
         rows = len(pairs.starts) - 1
         classes = np.zeros((rows, self.n_classes, self.bins))
         background = np.zeros(rows)
-        present = np.flatnonzero(self.term_weights[np.unique(pairs.looks)].any(axis=0))
-        for index in present:
+        for index in self._present(pairs.looks):
             term = self.terms[index]
-            chosen = pairs.weighed(self.term_weights[pairs.looks, index])
+            chosen = pairs.weighed(self.term_weights[:, index].take(pairs.looks))
             weights = _row_weights(chosen)
             background += weights * term.background
             others = np.ones(self.n_classes, dtype=bool)
             others[term.classes] = False
-            # No weight times minus infinity is nothing, not NaN.
-            touched = np.flatnonzero(weights)
-            value = weights[touched] * term.elsewhere
-            classes[np.ix_(touched, others)] += value[:, None, None]
-            if len(term.classes):
-                direct = exact or has_bearing(term)
-                part = self._direct(term, chosen) if direct else self._tabulated(term, chosen)
-                classes[:, term.classes] += part
+            if others.any():
+                # No weight times minus infinity is nothing, not NaN.
+                touched = np.flatnonzero(weights)
+                value = weights[touched] * term.elsewhere
+                classes[np.ix_(touched, others)] += value[:, None, None]
+            if not len(term.classes):
+                continue
+            if exact or has_bearing(term):
+                classes[:, term.classes] += self._direct(term, chosen)
+            else:
+                self._add_tabulated(term, chosen, classes)
         return Evidence(classes, background, pairs.counts)
+
+    def _present(self, looks: IntArray) -> IntArray:
+        """Terms that some of the looks add."""
+        if not len(looks):
+            return np.zeros(0, dtype=np.int64)
+        first = looks.min()
+        different = first + np.flatnonzero(np.bincount(looks - first))
+        return np.flatnonzero(self.term_weights[different].any(axis=0))
 
     def _direct(self, term: Term, pairs: Pairs) -> FloatArray:
         """Evaluate a term for every pair and bin and sum over rows, (rows, k, bins)."""
@@ -182,32 +205,45 @@ class Engine:
                 total[owners[part][first]] += np.add.reduceat(values, first, axis=0)
         return total
 
-    def _tabulated(self, term: Term, pairs: Pairs) -> FloatArray:
-        """Sum a term over rows as S @ D, (rows, k, bins)."""
-        rows = len(pairs.starts) - 1
-        shape = (rows, len(term.classes), self.bins)
-        if len(pairs.ranges) == 0:
-            return np.zeros(shape)
-        total = np.zeros(shape)
-        levels = self._spread_levels(pairs.looks)
-        for level in np.unique(levels):
-            part = pairs.select(levels == level)
-            table = self._table(term, float(part.ranges.max()), int(level))
-            weights = table.weights(part.starts, part.ranges, part.directions, part.scale)
-            total += _product(weights, table).reshape(shape)
-        return total
+    def _add_tabulated(self, term: Term, pairs: Pairs, classes: FloatArray) -> None:
+        """Add a term to rows, (rows, n, bins), as S @ D."""
+        for level, part in self._by_spread(pairs):
+            table, convolution = self._table(term, float(part.ranges.max()), level)
+            for rows, own, starts in _blocks(part.starts):
+                scale = None if part.scale is None else part.scale[own]
+                chosen = (starts, part.ranges[own], part.directions[own], scale)
+                if _many(table, convolution, len(starts) - 1, len(chosen[1])):
+                    sums = convolution.sums(*chosen)
+                else:
+                    sums = _product(table.weights(*chosen), table)
+                sums = sums.reshape(-1, len(term.classes), self.bins)
+                if len(term.classes) == self.n_classes:
+                    classes[rows] += sums
+                else:
+                    classes[rows, term.classes] += sums
 
-    def _table(self, term: Term, farthest: float, spread: int) -> LikelihoodTable:
+    def _table(
+        self, term: Term, farthest: float, spread: int
+    ) -> tuple[LikelihoodTable, ConvolutionTable]:
         """A table that reaches the maximal range, doubled as often as a pair lies beyond."""
         doublings = max(0, int(np.ceil(np.log2(max(farthest / self.pointing.max_range, 1.0)))))
         key = (term.index, doublings, spread)
-        if key not in self._tables:
-            reach = self.pointing.max_range * 2.0**doublings
-            variance = _SPREADS[spread] ** 2
-            self._tables[key] = build_table(
-                term, self.bins, self.pointing.min_range, reach, variance
-            )
+        with self._lock:
+            if key not in self._tables:
+                self._tables[key] = self._built(term, spread, 2.0**doublings)
         return self._tables[key]
+
+    def _built(
+        self, term: Term, spread: int, farther: float
+    ) -> tuple[LikelihoodTable, ConvolutionTable]:
+        table = build_table(
+            term,
+            self.bins,
+            self.pointing.min_range,
+            self.pointing.max_range * farther,
+            _SPREADS[spread] ** 2,
+        )
+        return table, take_apart(table)
 
     def _spread(self, looks: IntArray, orientations: FloatArray) -> FloatArray | None:
         """Position covariances turned into the frame of each orientation, (p, bins, 2, 2)."""
@@ -218,14 +254,24 @@ class Engine:
         covariances = self.position_covariances[looks][:, None]
         return np.asarray(to_world.swapaxes(-1, -2) @ covariances @ to_world)
 
-    def _spread_levels(self, looks: IntArray) -> IntArray:
-        """The tabulated spread nearest to the position uncertainty of each look, (p,)."""
+    def _by_spread(self, pairs: Pairs) -> Iterator[tuple[int, Pairs]]:
+        """Pairs by the tabulated spread nearest to the position uncertainty of their looks."""
+        if self._levels is None:
+            if len(pairs.looks):
+                yield 0, pairs
+            return
+        levels = self._levels[pairs.looks]
+        for level in np.flatnonzero(np.bincount(levels)):
+            yield int(level), pairs.select(levels == level)
+
+    @cached_property
+    def _levels(self) -> IntArray | None:
+        """Number of the tabulated spread of each look, (looks,); None for exact poses."""
         if self.position_covariances is None:
-            return np.zeros(len(looks), dtype=np.int64)
+            return None
         trace = np.trace(self.position_covariances, axis1=1, axis2=2)
-        deviations = np.sqrt(trace / 2.0)
         middles = (np.array(_SPREADS[1:]) + np.array(_SPREADS[:-1])) / 2.0
-        return np.asarray(np.searchsorted(middles, deviations)[looks])
+        return np.asarray(np.searchsorted(middles, np.sqrt(trace / 2.0)))
 
 
 def _row_weights(pairs: Pairs) -> FloatArray:
@@ -236,21 +282,33 @@ def _row_weights(pairs: Pairs) -> FloatArray:
     return np.asarray(sums[pairs.starts[1:]] - sums[pairs.starts[:-1]])
 
 
+def _blocks(starts: IntArray) -> Iterator[tuple[slice, slice, IntArray]]:
+    """Cut rows and their pairs into blocks; a row with too many pairs is in several.
+
+    Yields:
+        The rows, the pairs, and where among the pairs those of each row start.
+    """
+    first_pair = 0
+    while first_pair < starts[-1]:
+        first = int(np.searchsorted(starts, first_pair, side="right")) - 1
+        after = min(first + _ROWS_AT_ONCE, len(starts) - 1)
+        last_pair = int(min(starts[after], first_pair + _TABULATED_AT_ONCE))
+        last = int(np.searchsorted(starts, last_pair))
+        own = np.clip(starts[first : last + 1], first_pair, last_pair) - first_pair
+        yield slice(first, last), slice(first_pair, last_pair), own
+        first_pair = last_pair
+
+
+def _many(table: LikelihoodTable, convolution: ConvolutionTable, rows: int, pairs: int) -> bool:
+    """Whether rows have so many pairs that a convolution is faster than adding row by row."""
+    return pairs * table.row_cost > _TRANSFORM_COST * rows * convolution.size
+
+
 def _product(weights: csr_array, table: LikelihoodTable) -> FloatArray:
-    """S @ D over the nodes in use, dense where that is faster."""
-    used = np.flatnonzero(np.bincount(weights.indices, minlength=weights.shape[1]))
-    position = np.zeros(weights.shape[1], dtype=np.int32)
-    position[used] = np.arange(len(used), dtype=np.int32)
-    values = table.rows(used)
+    """S @ D, over the nodes in use."""
+    used, position = np.unique(weights.indices.astype(np.int64), return_inverse=True)
     compact = csr_array(
-        (weights.data, position[weights.indices], weights.indptr),
-        shape=(weights.shape[0], len(used)),
+        (weights.data, position, weights.indptr), shape=(weights.shape[0], len(used))
     )
-    if weights.nnz < _DENSE_SHARE * weights.shape[0] * len(used):
-        return np.asarray(compact @ values)
-    result = np.empty((weights.shape[0], values.shape[1]))
-    step = max(1, _DENSE_BYTES // (8 * len(used)))
-    for start in range(0, len(result), step):
-        rows = slice(start, start + step)
-        np.matmul(compact[rows].toarray(), values, out=result[rows])
-    return result
+    product: FloatArray = compact @ table.rows(used)
+    return product

@@ -236,7 +236,8 @@ def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
     """
     offset_x = centers[:, None, 0] - pointing.positions[None, :, 0]
     offset_y = centers[:, None, 1] - pointing.positions[None, :, 1]
-    ranges = np.hypot(offset_x, offset_y)
+    # Not np.hypot: what it guards against cannot happen here, and it takes seven times as long.
+    ranges = np.sqrt(offset_x * offset_x + offset_y * offset_y)
     directions = np.arctan2(-offset_y, -offset_x)
     widths = pointing.widths
     # How far to the left of the right edge: both angles are within one turn, so one turn mends it.

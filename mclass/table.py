@@ -30,7 +30,7 @@ from scipy.sparse import csr_array
 from mclass.observation import Term
 from mclass.records import FloatArray, IntArray
 
-_TOLERANCE = 4e-6
+TOLERANCE = 4e-6
 """Error allowed between the nodes."""
 
 _DEPTH = 8.0
@@ -46,7 +46,7 @@ _HALF_WAY = np.array([1.0, 237.0, 1682.0, 1682.0, 237.0, 1.0]) / 3840.0
 _PADDING = 20
 """Range nodes sampled beyond those used: a prefilter's wrong boundary fades by 0.43 a node."""
 
-_REACH = 3
+REACH = 3
 """Nodes that a spline needs on either side."""
 
 _MAX_BYTES = 2**25
@@ -58,7 +58,7 @@ class LikelihoodTable:
 
     Attributes:
         range_step: Distance between range nodes [m]; the node before the first is at range
-            ``-_REACH`` steps.
+            ``-REACH`` steps.
         curves: Spline coefficients over the aspect, against the sense of the circle and twice
             around, (range nodes, direction nodes a bin, classes of the term, 2 bins).
     """
@@ -80,6 +80,17 @@ class LikelihoodTable:
     def n_nodes(self) -> int:
         """Nodes of the lattice: rows of D, columns of S."""
         return int(self.curves.shape[0]) * self.n_directions
+
+    @property
+    def row_cost(self) -> int:
+        """Numbers added up for one measurement."""
+        return 4 * REACH**2 * int(self.curves.shape[2]) * self.bins
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """Spline coefficients of the lattice, (range nodes, direction nodes, k)."""
+        once = self.curves[..., -np.arange(self.bins) % self.bins]
+        return once.transpose(0, 3, 1, 2).reshape(len(once), self.n_directions, -1)
 
     def rows(self, nodes: IntArray) -> FloatArray:
         """Rows of D: for each node every class and orientation bin, (len(nodes), k * bins)."""
@@ -104,11 +115,11 @@ class LikelihoodTable:
         Returns:
             Sparse (rows, nodes).
         """
-        row, row_weights = _quintic_weights(ranges / self.range_step + _REACH)
-        column, column_weights = _quintic_weights(directions * (self.n_directions / (2.0 * np.pi)))
+        row, row_weights = quintic_weights(ranges / self.range_step + REACH)
+        column, column_weights = quintic_weights(directions * (self.n_directions / (2.0 * np.pi)))
         if scale is not None:
             row_weights = row_weights * scale
-        taps = np.arange(1 - _REACH, 1 + _REACH, dtype=np.int32)[:, None]
+        taps = np.arange(1 - REACH, 1 + REACH, dtype=np.int32)[:, None]
         columns = np.remainder(column + taps, self.n_directions)
         rows = (row + taps) * self.n_directions
         data = (row_weights[:, None] * column_weights[None, :]).reshape(36, -1).T
@@ -119,7 +130,7 @@ class LikelihoodTable:
         )
 
 
-def _quintic_weights(coordinates: FloatArray) -> tuple[npt.NDArray[np.int32], FloatArray]:
+def quintic_weights(coordinates: FloatArray) -> tuple[npt.NDArray[np.int32], FloatArray]:
     """Lattice index below each coordinate and the weights of its six B-spline taps, (6, p)."""
     below = np.floor(coordinates)
     t = coordinates - below
@@ -163,11 +174,11 @@ def build_table(
             break
         finer_step = range_step / _refinement(range_error)
         finer_count = bins * int(np.ceil(n_directions / bins * _refinement(direction_error)))
-        nodes = (max_range / finer_step + 2 * _REACH) * finer_count
+        nodes = (max_range / finer_step + 2 * REACH) * finer_count
         if nodes * len(term.classes) * 16 > _MAX_BYTES:
             break
         range_step, n_directions = finer_step, finer_count
-    kept = coefficients[:, _PADDING - _REACH : len(ranges) - _PADDING + _REACH]
+    kept = coefficients[:, _PADDING - REACH : len(ranges) - _PADDING + REACH]
     # (k, ranges, turn, phase) to (ranges, phase, k, turn), then around against the circle.
     turns = kept.reshape(*kept.shape[:2], bins, -1).transpose(1, 3, 0, 2)
     backwards = turns[..., -np.arange(2 * bins) % bins]
@@ -197,10 +208,10 @@ def _aspect_error(term: Term, ranges: FloatArray, count: int) -> float:
     coefficients = spline_filter1d(samples, order=5, axis=2, mode="grid-wrap")
     between = correlate1d(coefficients, _HALF_WAY, axis=2, mode="wrap", origin=-1)
     error = np.abs(between - _evaluate(term, ranges, aspects + aspects[1] / 2.0))
-    return float((error / _error_growth(samples)).max())
+    return float((error / error_growth(samples)).max())
 
 
-def _error_growth(samples: FloatArray) -> FloatArray:
+def error_growth(samples: FloatArray) -> FloatArray:
     """How much more an error may be where the likelihood is low, (k, ranges, aspects)."""
     depth = samples.max(axis=(0, 2), keepdims=True) - samples
     return np.asarray(np.exp(np.clip((depth - _DEPTH) / 2.0, 0.0, 100.0)))
@@ -251,7 +262,7 @@ def _interpolation_errors(
         along = correlate1d(coefficients, _HALF_WAY, axis=axis, mode="wrap", origin=-1)
         return np.asarray(correlate1d(along, whole, axis=3 - axis, mode="wrap"))
 
-    allowed = _TOLERANCE * _error_growth(samples)
+    allowed = TOLERANCE * error_growth(samples)
     used = slice(int(np.searchsorted(ranges, min_range)), len(ranges) - _PADDING)
     between = ranges + (ranges[1] - ranges[0]) / 2.0
     half_range = _evaluate(term, between, aspects, position_variance)
