@@ -110,8 +110,11 @@ def read_camera(table: Table, source: CameraSource, *, by_log_time: bool) -> Cam
     log_times = table.log_times_ns[kept]
     stamps = log_times if by_log_time else np.where(stamps != 0, stamps, log_times)
     order = np.argsort(stamps, kind="stable")
-    # Equal NaNs must count as equal rows.
-    everything = np.nan_to_num(np.concatenate([intrinsics, coefficients, sizes], axis=1), nan=0.0)
+    # A calibration with a number that is none is no calibration: without a focal length it is
+    # refused where it is needed.
+    everything = np.concatenate([intrinsics, coefficients], axis=1)
+    everything = np.where(transforms.finite_rows(everything)[:, None], everything, 0.0)
+    everything = np.concatenate([everything, sizes], axis=1)
     distinct, rows = np.unique(everything[order], axis=0, return_inverse=True)
     calibrations = Calibrations(
         "" if not model and not coefficients.any() else model or "plumb_bob",
