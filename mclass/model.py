@@ -139,10 +139,9 @@ ROBUST = InferenceSettings(
     preset="robust",
     probabilities=True,
     silence=True,
-    correlation=(0.3, 0.15),
+    correlation=(0.3, 0.12),
     outside_probability=1e-3,
     pointing_std=0.05,
-    pose_uncertainty=True,
     association=True,
 )
 
