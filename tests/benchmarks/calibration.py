@@ -1,6 +1,6 @@
 """How right, and how honest about it: majority vote, the plain paper and the robust filter.
 
-    python tests/benchmarks/calibration.py [--logs 50] [--rendered FOLDER]
+    python tests/benchmarks/calibration.py [--logs 50] [--rendered FOLDER] [--without-ids]
 
 Simulated drives past boxes, in several sets. The simulator is not the model: it recognises over
 flat sectors or round lobes, cut off by distance, errs alike for as long as the view stays
@@ -34,6 +34,7 @@ from mclass.evaluation.density import JointDensity, joint_density
 from mclass.evaluation.scores import LogScore, score_log
 from mclass.evaluation.summary import Figure, evaluate
 from mclass.evaluation.truth import Truth, load_truth
+from mclass.geometry import wrap_angle
 from mclass.inference import estimate_objects, prepare
 from mclass.logs.measurements import read_measurements
 from mclass.logs.reader import LogReader
@@ -52,6 +53,7 @@ from mclass.simulation.scenario import (
     SceneObject,
     Trajectory,
 )
+from mclass.simulation.world import Truth as WorldTruth
 from mclass.simulation.world import simulate_measurements
 
 BOXES = Path(__file__).parents[2] / "configs" / "boxes.yaml"
@@ -73,7 +75,7 @@ METHODS: Mapping[str, Method] = {
     "– without weights": Method(replace(ROBUST, correlation=None)),
     "– without silence": Method(replace(ROBUST, silence=False)),
     "– without soft pointing": Method(replace(ROBUST, pointing_std=0.0)),
-    "– without pose covariance": Method(replace(ROBUST, pose_uncertainty=False)),
+    "– with pose covariance": Method(replace(ROBUST, pose_uncertainty=True)),
     "robust, ids withheld": Method(ROBUST, ids=False),
 }
 
@@ -290,14 +292,29 @@ def majority_vote(
     return estimates, densities
 
 
+@dataclass(frozen=True)
+class Result:
+    """One method on one log: its score, seconds, and ids of objects whose class shows."""
+
+    score: LogScore
+    seconds: float
+    telling: frozenset[str]
+
+
 def scores_of(
-    log: str, model: Model, measurements: LabelMeasurements, truth: Truth
-) -> dict[str, tuple[LogScore, float]]:
-    """Score and seconds of every method on one log."""
+    log: str,
+    model: Model,
+    measurements: LabelMeasurements,
+    truth: Truth,
+    telling: frozenset[str],
+    methods: Sequence[str],
+) -> dict[str, Result]:
+    """Every method on one log; ``telling``: objects seen from more than a shared side."""
     result = {}
     names = model.classes.class_names
     nameless = replace(measurements, object_index=np.full(len(measurements), -1), object_ids=())
-    for name, method in METHODS.items():
+    for name in methods:
+        method = METHODS[name]
         start = time.perf_counter()
         if method.settings is None:
             estimates, densities = majority_vote(measurements, names, model.grid.orientation_bins)
@@ -310,7 +327,7 @@ def scores_of(
         seconds = time.perf_counter() - start
         match: Literal["id", "position"] = "id" if method.ids else "position"
         score = score_log(log, estimates, densities, names, truth, match=match)
-        result[name] = score, seconds
+        result[name] = Result(score, seconds, telling)
     return result
 
 
@@ -321,9 +338,9 @@ def _certain_of_objects(model: Model) -> Model:
     return replace(model, classes=replace(model.classes, log_priors=priors - logsumexp(priors)))
 
 
-def simulated(task: tuple[str, int]) -> dict[str, tuple[LogScore, float]]:
+def simulated(task: tuple[str, int, Sequence[str]]) -> dict[str, Result]:
     """Every method on one simulated drive, given the set's name and a seed."""
-    name, seed = task
+    name, seed, methods = task
     setting = SETS[name]
     seed += 1000 * list(SETS).index(name)
     drive = scenario(setting, seed)
@@ -337,18 +354,37 @@ def simulated(task: tuple[str, int]) -> dict[str, tuple[LogScore, float]]:
         poses=world.poses[seen],
         symmetry=np.full(len(seen), 2),
     )
-    return scores_of(f"{name} {seed}", model, measurements, truth)
+    telling = frozenset(
+        world.object_ids[o] for o in seen if _shows_class(drive, measurements, world, o)
+    )
+    return scores_of(f"{name} {seed}", model, measurements, truth, telling, methods)
 
 
-def recorded(task: tuple[Path, Path]) -> dict[str, tuple[LogScore, float]]:
+def _shows_class(
+    drive: Scenario, measurements: LabelMeasurements, world: WorldTruth, index: int
+) -> bool:
+    """Whether at least three detections of an object are from a side that only its class has."""
+    name = world.class_names[index]
+    table = sides(len({owner for owner, _ in drive.detector.responses}))  # type: ignore[union-attr]
+    shared = {d for (owner, label), ds in table.items() if owner == name != label for d in ds}
+    own = np.array([d for d in table[name, name] if d not in shared])
+    frames = measurements.frame_index[measurements.object_index == index]
+    x, y, orientation = world.poses[index]
+    offsets = world.poses_world_sensor[frames, :2] - (x, y)
+    aspects = np.arctan2(offsets[:, 1], offsets[:, 0]) - orientation
+    away = np.abs(wrap_angle(aspects[:, None] - own))
+    return int(np.sum(away.min(axis=1) < np.radians(45.0))) >= 3
+
+
+def recorded(task: tuple[Path, Path, Sequence[str]]) -> dict[str, Result]:
     """Every method on one recorded log, given its path and that of its truth."""
-    log, truth_path = task
+    log, truth_path, methods = task
     model = load_model(BOXES)
     truth = load_truth(truth_path)
     truth = replace(truth, symmetry=np.full(len(truth), 2))
     with LogReader.open(log) as reader:
         measurements = read_measurements(reader, model).measurements
-    return scores_of(log.name, model, measurements, truth)
+    return scores_of(log.name, model, measurements, truth, frozenset(truth.object_ids), methods)
 
 
 def recorded_tasks(folder: Path) -> Iterator[tuple[Path, Path]]:
@@ -380,22 +416,36 @@ COLUMNS: Sequence[tuple[str, str, str]] = (
 )
 
 
-def print_table(title: str, results: Sequence[dict[str, tuple[LogScore, float]]]) -> None:
+def print_table(title: str, results: Sequence[Mapping[str, Result]]) -> None:
     """One set's figures, a method a line, as Markdown."""
-    count = sum(len(log["robust"][0].objects) for log in results)
-    print(f"\n**{title}**: {len(results)} logs, {count} objects\n")
-    print("| method | " + " | ".join(head for head, _, _ in COLUMNS) + " | s/log |")
-    print("|---|" + "---|" * (len(COLUMNS) + 1))
-    for method in METHODS:
-        figures = evaluate([log[method][0] for log in results]).figures
+    count = sum(len(log["robust"].score.objects) for log in results)
+    telling = sum(len(log["robust"].telling) for log in results)
+    print(
+        f"\n**{title}**: {len(results)} logs, {count} objects, "
+        f"{telling} of them seen from a side that tells their class\n"
+    )
+    heads = [head for head, _, _ in COLUMNS]
+    heads.insert(1, "where it shows")
+    print("| method | " + " | ".join(heads) + " | s/log |")
+    print("|---|" + "---|" * (len(heads) + 1))
+    for method in results[0]:
+        scores = [log[method].score for log in results]
+        figures = evaluate(scores).figures
         cells = [_cell(figures[name], form) for _, name, form in COLUMNS]
         if METHODS[method].settings is None:
             cells[1:6] = ["–"] * 5
-        seconds = np.mean([log[method][1] for log in results])
-        print(
-            f"| {method} | " + " | ".join(cells) + f" | {seconds:.2f} |",
-            flush=True,
-        )
+        shown = [
+            replace(
+                log[method].score,
+                objects=tuple(
+                    one for one in log[method].score.objects if one.true_id in log[method].telling
+                ),
+            )
+            for log in results
+        ]
+        cells.insert(1, _cell(evaluate(shown).figures["class_accuracy"], "{:.3f}"))
+        seconds = np.mean([log[method].seconds for log in results])
+        print(f"| {method} | " + " | ".join(cells) + f" | {seconds:.2f} |", flush=True)
 
 
 def _cell(figure: Figure, form: str) -> str:
@@ -408,18 +458,23 @@ def main() -> None:
     parser.add_argument("--logs", type=int, default=50, help="simulated logs in each set")
     parser.add_argument("--sets", nargs="*", default=list(SETS), choices=list(SETS))
     parser.add_argument("--rendered", type=Path, help="folder of recorded logs with truth")
+    parser.add_argument(
+        "--without-ids", action="store_true", help="also infer with all ids withheld (slow)"
+    )
     arguments = parser.parse_args()
+    methods = [name for name in METHODS if METHODS[name].ids or arguments.without_ids]
     everything = []
     with ProcessPoolExecutor(PROCESSES) as pool:
         for name in arguments.sets:
-            results = list(pool.map(simulated, [(name, seed) for seed in range(arguments.logs)]))
+            tasks = [(name, seed, methods) for seed in range(arguments.logs)]
+            results = list(pool.map(simulated, tasks))
             print_table(name, results)
             everything += results
         if len(arguments.sets) > 1:
             print_table("all simulated", everything)
         if arguments.rendered:
-            tasks = list(recorded_tasks(arguments.rendered))
-            print_table("recorded", list(pool.map(recorded, tasks)))
+            logs = [(*task, methods) for task in recorded_tasks(arguments.rendered)]
+            print_table("recorded", list(pool.map(recorded, logs)))
 
 
 if __name__ == "__main__":
