@@ -349,9 +349,9 @@ class TestSchemas:
     def test_messages_that_contradict_their_schema(self, place: Workplace, tmp_path: Path) -> None:
         def fill(log: SceneLog) -> None:
             add_detections(log)
-            wrong: dict[str, Any]
-            for number, wrong in enumerate(({"detections": 3}, {"header": "no"}, {"x": [1]})):
-                log.add("/camera/detections", DETECTION_SCHEMA, at(1.0) + number, wrong)
+            wrong: list[dict[str, Any]] = [{"detections": 3}, {"header": "no"}, {"x": [1]}]
+            for number, message in enumerate(wrong):
+                log.add("/camera/detections", DETECTION_SCHEMA, at(1.0) + number, message)
 
         run = place.estimate(scene(tmp_path / "scene.mcap", fill))
         assert run.code == 3

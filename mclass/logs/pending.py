@@ -5,12 +5,18 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from mclass.errors import LogError
 from mclass.logs.source import Source
+
+try:
+    import fcntl
+except ImportError:  # a system without such locks
+    fcntl = None  # type: ignore[assignment]
 
 _COPY_STEP = 1 << 26
 _READ_STEP = 1 << 20
@@ -23,7 +29,9 @@ _NO_HARD_LINKS = frozenset(
 class PendingFile:
     """Written as ``.NAME.part-PID`` in the output's folder, renamed when it is whole.
 
-    A killed process leaves such a hidden part file at most, never one under the output's name.
+    A killed process leaves such a hidden part file at most, never one under the output's name;
+    the next run for that output removes it. Part files are locked while they are written, so
+    that those of other runs at work are told from those left behind.
 
     Args:
         output: Where the file is to appear; a symbolic link is followed.
@@ -51,18 +59,36 @@ class PendingFile:
             LogError: If the folder is missing, read-only or full.
         """
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-        name = f".{self._target.name[:_NAME_CHARACTERS]}.part-{os.getpid()}"
+        stem = f".{self._target.name[:_NAME_CHARACTERS]}.part-"
+        self._remove_leftovers(stem)
+        name = f"{stem}{os.getpid()}"
         with self._errors():
             for attempt in range(1000):
                 part = self._target.with_name(name + (f"-{attempt}" if attempt else ""))
                 try:
                     self._file = os.open(part, flags, 0o666)
                 except FileExistsError:
-                    # Left by a killed run that had the same number.
                     continue
                 self._part = part
-                return
+                _lock(self._file, wait=True)
+                if os.fstat(self._file).st_nlink:
+                    return
+                # Another run took it for a leftover in the moment before it was locked.
+                self._close()
         raise LogError(f"its folder is full of files {name}-*. Delete them.", path=self._name)
+
+    def _remove_leftovers(self, stem: str) -> None:
+        """Delete part files of this output that no run holds; what cannot be deleted stays."""
+        is_part = re.compile(re.escape(stem) + r"\d+(-\d+)?")
+        with contextlib.suppress(OSError):
+            for part in sorted(self._target.parent.iterdir()):
+                if is_part.fullmatch(part.name) and part.is_file() and not part.is_symlink():
+                    file = os.open(part, os.O_RDWR)
+                    try:
+                        if _lock(file, wait=False):
+                            part.unlink()
+                    finally:
+                        os.close(file)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """Append bytes.
@@ -208,3 +234,14 @@ class PendingFile:
         }.get(error.errno or 0, "")
         reason = (error.strerror or str(error)).lower()
         return LogError(f"cannot be written: {reason}.{advice}", path=self._name)
+
+
+def _lock(file: int, *, wait: bool) -> bool:
+    """Take the only lock of an open file; False if another has it, or the system has no locks."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:
+        return False
+    return True
