@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Generator, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from mclass.batch.record import (
     LogResult,
     Status,
     entropy,
+    entry_line,
     read_results,
     results_text,
     worst_exit_code,
@@ -62,6 +64,10 @@ def here(
 
 def toy_model(change: str = "") -> Model:
     return parse_model(TOY_MODEL + change, "toy.yaml")
+
+
+def record_of(entries: Iterable[LogResult]) -> str:
+    return results_text(entry_line(entry) for entry in entries)
 
 
 def command(*arguments: object) -> Result:
@@ -417,7 +423,7 @@ def test_two_batches_do_not_share_a_folder(toys: Path, tmp_path: Path) -> None:
         '{"format": "mclass batch 1", "results": 3}',
         '{"format": "mclass batch 1", "results": [NaN]}',
         "[" * 100_000,
-        results_text([replace(hand_made(), output="../../etc/passwd")]),
+        record_of([replace(hand_made(), output="../../etc/passwd")]),
     ],
 )
 def test_a_foreign_record_is_refused(toys: Path, tmp_path: Path, text: str) -> None:
@@ -435,7 +441,7 @@ def test_a_record_comes_back_as_it_was(tmp_path: Path) -> None:
         hand_made("a", damage=("lost",), misses=("m",), settings={"start": None}),
         LogResult("b", "../b.mcap", "b.mclass.mcap", "failed", 1, "why \udcff\n"),
     )
-    path.write_text(results_text(entries))
+    path.write_text(record_of(entries))
     assert read_results(path) == entries
 
 
@@ -471,6 +477,33 @@ def test_a_log_whose_process_died_is_a_failed_log(toys: Path, tmp_path: Path) ->
     assert entries_of(out)["one"].status == "failed"
     assert "one.mcap: its process was ended by SIGKILL" in entries_of(out)["one"].message
     assert entries_of(out)["two"].status == "done"
+
+
+@pytest.mark.slow
+def test_ten_thousand_logs_take_little_memory_and_time(tmp_path: Path) -> None:
+    jobs = 10_000
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for index in range(jobs):
+        (logs / f"{index}.mcap").touch()
+
+    def done_at_once(
+        work: Estimation, jobs: Iterable[Job]
+    ) -> Generator[tuple[Job, LogResult | DiedError], None, None]:
+        for job in jobs:
+            yield job, hand_made(job.entry.name, input=job.entry.input, output=job.entry.output)
+
+    for _ in range(2):  # the second time with a record to begin with
+        tracemalloc.start()
+        began = time.process_time()
+        report = run_batch([str(logs)], tmp_path / "out", Estimation(None), executor=done_at_once)
+        seconds = time.process_time() - began
+        kept, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert len(report.results) == jobs
+        assert kept / jobs < 4_000
+        # Tracing makes everything several times slower.
+        assert seconds / jobs < 0.02
 
 
 # Judgement.
@@ -572,7 +605,7 @@ def test_a_regression_is_exit_code_4_and_recorded(toys: Path, tmp_path: Path) ->
     first = run_batch([str(toys)], tmp_path / "first", Estimation(None), executor=here)
     tampered = [with_object(entry, orientation_deg=0.0, modes=[]) for entry in first.results[:1]]
     baseline = tmp_path / "baseline.json"
-    baseline.write_text(results_text([*tampered, *first.results[1:]]))
+    baseline.write_text(record_of([*tampered, *first.results[1:]]))
     out = tmp_path / "out"
     result = command(toys, "-o", out, "-j", 1, "--baseline", baseline)
     assert result.exit_code == 4, result.output

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,7 +14,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from mclass.batch.record import read_results, results_text
+from mclass.batch.record import entry_line, read_results, results_text
 
 ROOT = Path(__file__).parent.parent
 RECIPES = ROOT / "configs" / "ci"
@@ -72,7 +73,7 @@ def test_recipe_passes_and_fails_when_results_get_worse(steps: list[str], reposi
 
     # One object more than there is now was found before: since then, one was lost.
     lost = {**entry.objects[0], "id": "lost"}
-    before = results_text([type(entry)(**{**vars(entry), "objects": (*entry.objects, lost)})])
+    before = results_text([entry_line(replace(entry, objects=(*entry.objects, lost)))])
     (repository / "baseline.json").write_text(before)
     again = run(steps, repository)
     assert again.returncode == 4

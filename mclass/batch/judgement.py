@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -115,18 +115,15 @@ def compare(
 
 def with_regressions(
     results: Iterable[LogResult], changes: Iterable[Change]
-) -> tuple[LogResult, ...]:
-    """Results to whose misses regressions are added."""
+) -> Iterator[LogResult]:
+    """The results that got worse, with the regressions among their misses."""
     worse: dict[str, list[str]] = {}
     for change in changes:
         if change.regression:
             worse.setdefault(change.name, []).append(f"since the baseline: {change.sentence}")
-    return tuple(
-        replace(result, misses=(*result.misses, *worse.get(result.name, ())))
-        if result.has_results
-        else result
-        for result in results
-    )
+    for result in results:
+        if result.has_results and result.name in worse:
+            yield replace(result, misses=(*result.misses, *worse[result.name]))
 
 
 def _log_changes(

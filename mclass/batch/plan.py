@@ -22,7 +22,7 @@ class Job:
     Attributes:
         log: Where it is.
         folder: Where the output goes.
-        entry: Its entry in the record, of an earlier run if there was one.
+        entry: Its entry in the record, an earlier run's if there was one.
     """
 
     log: str
@@ -94,7 +94,7 @@ def _is_below(path: str, own: str) -> bool:
 def plan(
     logs: Iterable[str], folder: Path, known: Sequence[LogResult], *, overwrite: bool
 ) -> list[Job]:
-    """A job for every log, each with an output of its own.
+    """A job for every log, each with an output of its own and a blank entry.
 
     A log keeps the name it has in the record; a new one is named by its stem, with a number
     if another log has that name.
@@ -108,22 +108,25 @@ def plan(
     Raises:
         UsageError: If a file that is not in the record is in the way.
     """
-    by_input: Mapping[str, LogResult] = {entry.input: entry for entry in known}
+    names: Mapping[str, tuple[str, str]] = {
+        entry.input: (entry.name, entry.output) for entry in known
+    }
     taken = {entry.name.casefold() for entry in known}
     jobs = []
     for log in logs:
         place = _relative(log, folder)
-        entry = by_input.get(place)
-        if entry is None:
+        if place in names:
+            name, output = names[place]
+        else:
             name = _free_name(Path(log).stem, taken)
             taken.add(name.casefold())
-            entry = LogResult(name, place, name + OUTPUT_SUFFIX)
-            if os.path.lexists(folder / entry.output) and not overwrite:
+            output = name + OUTPUT_SUFFIX
+            if os.path.lexists(folder / output) and not overwrite:
                 raise UsageError(
-                    f"{folder / entry.output} is there and not from this batch. "
+                    f"{folder / output} is there and not from this batch. "
                     "Choose another folder, or add --overwrite."
                 )
-        jobs.append(Job(log, str(folder), entry))
+        jobs.append(Job(log, str(folder), LogResult(name, place, output)))
     return jobs
 
 

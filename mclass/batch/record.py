@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, overload
 
 import numpy as np
 
@@ -27,7 +27,7 @@ EXIT_CODES_BY_SEVERITY = (0, 3, 4, 2, 1)
 """The worst last: all well; part of a log lost; a threshold missed; no usable model; failed."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class LogResult:
     """What came of one log.
 
@@ -165,20 +165,38 @@ _PLAIN = (
 )
 
 
-def results_text(results: Iterable[LogResult]) -> str:
-    """The whole file; one line an entry, so that it can be compared and merged line by line."""
-    lines = (json.dumps(result_json(result), allow_nan=False) for result in results)
+def entry_line(result: LogResult) -> str:
+    """An entry as it stands in the file, on one line: files can be compared line by line."""
+    return json.dumps(result_json(result), allow_nan=False)
+
+
+class Entries(Sequence[LogResult]):
+    """Entries kept as lines of text, a few times smaller than what they say."""
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        self._lines = lines
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    @overload
+    def __getitem__(self, index: int) -> LogResult: ...
+    @overload
+    def __getitem__(self, index: slice) -> Entries: ...
+    def __getitem__(self, index: int | slice) -> LogResult | Entries:
+        if isinstance(index, slice):
+            return Entries(self._lines[index])
+        return result_from(json.loads(self._lines[index]))
+
+
+def results_text(lines: Iterable[str]) -> str:
+    """The whole file.
+
+    Args:
+        lines: From `entry_line`.
+    """
     body = ",\n".join(lines)
     return f'{{"format": "{_FORMAT}", "results": [\n{body}\n]}}\n'
-
-
-def write_results(path: Path, results: Iterable[LogResult]) -> None:
-    """Replace the file as a whole or not at all.
-
-    Raises:
-        LogError: If it cannot be written.
-    """
-    write_whole(path, results_text(results))
 
 
 def write_whole(path: Path, text: str) -> None:

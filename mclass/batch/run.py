@@ -17,17 +17,20 @@ from mclass.batch.judgement import Change, Tolerances, compare, judged, with_reg
 from mclass.batch.plan import Job, find_logs, plan
 from mclass.batch.record import (
     RESULTS_NAME,
+    Entries,
     LogResult,
+    entry_line,
     read_results,
+    results_text,
     worst_exit_code,
-    write_results,
+    write_whole,
 )
 from mclass.batch.work import Estimation
 from mclass.batch.workers import DiedError, each
 from mclass.errors import LogError, UsageError
 from mclass.rules import Rule
 
-_LEAST_PAUSE_S = 0.5
+_LEAST_PAUSE_S, _MOST_PAUSE_S = 0.5, 15.0
 _WRITING_SHARE = 0.02
 _LEFTOVER = re.compile(r"\..+\.part-\d+(-\d+)?")
 
@@ -42,12 +45,12 @@ class BatchReport:
     """What a batch did.
 
     Attributes:
-        results: One a log of this batch, in the order of the logs.
+        results: One a log of this batch, in the order of the logs; decoded when looked at.
         changes: Since the baseline; empty without one.
         seconds: Time from start to end.
     """
 
-    results: tuple[LogResult, ...]
+    results: Sequence[LogResult]
     changes: tuple[Change, ...]
     seconds: float
 
@@ -111,12 +114,14 @@ def run_batch(
         known = read_results(path) if path.exists() else ()
         jobs = plan(find_logs(sources, folder), folder, known, overwrite=overwrite)
         record = _Record(path, (*known, *(job.entry for job in jobs)))
+        del known
         names = [job.entry.name for job in jobs]
+        todo = (replace(job, entry=record.entry(job.entry.name)) for job in jobs)
         if progress is not None:
             progress(0, len(jobs), None)
         try:
             record.write()
-            with contextlib.closing(execute(work, jobs)) as finished:
+            with contextlib.closing(execute(work, todo)) as finished:
                 for done, (job, outcome) in enumerate(finished, start=1):
                     if isinstance(outcome, DiedError):
                         result = _failed(job, work, outcome)
@@ -128,13 +133,13 @@ def run_batch(
             _remove_leftovers(folder)
         finally:
             record.write()
-        results = tuple(record.entries[name] for name in names)
+        results = record.entries(names)
         changes: list[Change] = []
         if criteria.baseline is not None:
             changes = compare(results, criteria.baseline, criteria.tolerances)
-            results = with_regressions(results, changes)
-            record.put(*results)
+            record.put(*with_regressions(results, changes))
             record.write()
+            results = record.entries(names)
     return BatchReport(results, tuple(changes), time.monotonic() - began)
 
 
@@ -164,16 +169,26 @@ class _Record:
     """
 
     def __init__(self, path: Path, entries: Iterable[LogResult]) -> None:
-        self.entries = {entry.name: entry for entry in entries}
+        self._lines: dict[str, str] = {}
+        for entry in entries:
+            self._lines.setdefault(entry.name, entry_line(entry))
         self._path = path
         self._lock = threading.RLock()
         self._timer: threading.Timer | None = None
         self._due = 0.0
 
+    def entry(self, name: str) -> LogResult:
+        """One entry."""
+        return self.entries([name])[0]
+
+    def entries(self, names: Iterable[str]) -> Entries:
+        """Some of the entries, as they are now."""
+        return Entries([self._lines[name] for name in names])
+
     def put(self, *results: LogResult) -> None:
         """Take in results; they are written at once or a little later."""
         with self._lock:
-            self.entries.update((result.name, result) for result in results)
+            self._lines.update((result.name, entry_line(result)) for result in results)
             if self._timer is None:
                 self._timer = threading.Timer(self._due - time.monotonic(), self._write_later)
                 self._timer.daemon = True
@@ -186,9 +201,10 @@ class _Record:
             if self._timer is not None:
                 self._timer.cancel()
                 self._timer = None
-            write_results(self._path, self.entries.values())
+            write_whole(self._path, results_text(self._lines.values()))
             ended = time.monotonic()
-            self._due = ended + max(_LEAST_PAUSE_S, (ended - began) / _WRITING_SHARE)
+            pause = (ended - began) / _WRITING_SHARE
+            self._due = ended + min(max(pause, _LEAST_PAUSE_S), _MOST_PAUSE_S)
 
     def _write_later(self) -> None:
         with self._lock:
