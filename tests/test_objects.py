@@ -38,17 +38,18 @@ def test_last_belief_needs_no_history(settings: InferenceSettings, known: bool) 
     assert len(followed) > 5 * len(ends)
     for end in ends:
         one = last[end.object_id]
-        assert end.class_probabilities == pytest.approx(one.class_probabilities, abs=1e-9)
-        assert end.class_poses == pytest.approx(one.class_poses, abs=1e-6)
+        assert end.class_probabilities == pytest.approx(one.class_probabilities, abs=1e-4)
+        assert end.class_poses == pytest.approx(one.class_poses, abs=1e-4)
         assert (end.measurements, end.stamp_ns, end.labels) == (
             one.measurements,
             one.stamp_ns,
             one.labels,
         )
+    # Sums of tables, in blocks by one and at once by the other: as exact as the tables are.
     for belief, end_belief in zip(beliefs, end_beliefs, strict=True):
         # What has no mass may be left out by one and not by the other.
         shared, there, here = np.intersect1d(belief.cells, end_belief.cells, return_indices=True)
         assert np.exp(belief.log_cell_mass[there]).sum() == pytest.approx(1.0, abs=1e-6)
         masses = np.exp(belief.log_cell_mass[there]), np.exp(end_belief.log_cell_mass[here])
         assert len(shared) >= 1
-        assert masses[1] == pytest.approx(masses[0], abs=1e-6)
+        assert masses[1] == pytest.approx(masses[0], abs=1e-4)

@@ -332,9 +332,12 @@ def scores_of(
 
 
 def _certain_of_objects(model: Model) -> Model:
-    """The model without "nothing here", which wins by far over many densities multiplied."""
+    """The model without "nothing here", which wins by far over many densities multiplied.
+
+    Unless no class could have returned all labels: then it is the only explanation left.
+    """
     priors = model.classes.log_priors.copy()
-    priors[0] = -np.inf
+    priors[0] = -1e6
     return replace(model, classes=replace(model.classes, log_priors=priors - logsumexp(priors)))
 
 
