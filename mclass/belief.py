@@ -11,6 +11,9 @@ from mclass.evidence import Evidence
 from mclass.orientation import log_mean_exp
 from mclass.records import FloatArray
 
+_NEGLIGIBLE = 60.0
+"""A class so far below the best one is not refined between its bins."""
+
 
 @dataclass(frozen=True)
 class Posterior:
@@ -39,8 +42,11 @@ def posterior(evidence: Evidence, log_priors: FloatArray, bins: int | None = Non
         log_priors: Background first, normalised, (1 + n,).
         bins: Of the density, a divisor of the evidence's; the same when None.
     """
+    peaks = np.concatenate([evidence.background[:, None], evidence.classes.max(axis=-1)], axis=1)
+    peaks += log_priors
+    rough = peaks < peaks.max(axis=1, keepdims=True) - _NEGLIGIBLE
     log_joint = np.concatenate(
-        [evidence.background[:, None], log_mean_exp(evidence.classes)], axis=1
+        [evidence.background[:, None], log_mean_exp(evidence.classes, rough[:, 1:])], axis=1
     )
     log_joint += log_priors
     log_evidence = logsumexp(log_joint, axis=1)
@@ -61,7 +67,11 @@ def log_orientation_density(log_likelihood: FloatArray, bins: int | None = None)
     if bins is not None:
         log_likelihood = log_likelihood[..., :: log_likelihood.shape[-1] // bins]
     bins = log_likelihood.shape[-1]
-    possible = np.isfinite(log_likelihood[..., :1])
-    safe = np.where(possible, log_likelihood, 0.0)
-    normaliser = logsumexp(safe, axis=-1, keepdims=True) + np.log(2.0 * np.pi / bins)
-    return np.asarray(safe - normaliser)
+    peak = log_likelihood.max(axis=-1, keepdims=True)
+    possible = np.isfinite(peak)
+    if possible.all():
+        density = log_likelihood - peak
+    else:
+        density = np.where(possible, log_likelihood, 0.0) - np.where(possible, peak, 0.0)
+    density -= np.log(np.exp(density).sum(axis=-1, keepdims=True)) + np.log(2.0 * np.pi / bins)
+    return np.asarray(density)

@@ -28,8 +28,8 @@ from scipy.sparse import csc_array, csr_array
 from mclass.records import FloatArray, IntArray
 from mclass.table import REACH, TOLERANCE, LikelihoodTable, error_growth, quintic_weights
 
-_READING_ERROR = 1e-6
-"""Error allowed for reading shares linearly between the ranges at which they are tabulated."""
+_READING_ERROR = 1e-5
+"""Error allowed, of either sign, for reading shares linearly between tabulated ranges."""
 
 _TAPS = 2 * REACH
 _FROM_POWERS = (
@@ -139,7 +139,7 @@ def _following(first: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.int32
 
 
 def take_apart(table: LikelihoodTable) -> ConvolutionTable:
-    """Find the shares and curves of a table; what they leave out is below its tolerance."""
+    """Find the shares and curves of a table; what they leave out is about its tolerance."""
     coefficients = table.coefficients
     n_ranges, n_directions, k = coefficients.shape
     flat = coefficients.reshape(n_ranges, -1)
@@ -153,10 +153,12 @@ def take_apart(table: LikelihoodTable) -> ConvolutionTable:
     # Between two readings a curve of bend b strays from the straight line by b / 8.
     bend = np.abs(np.diff(flat, 2, axis=0)) / error_growth(flat[None])[0, 1:-1]
     finer = max(1, int(np.ceil(np.sqrt(bend.max() / (8.0 * _READING_ERROR)))))
-    fine = np.arange((n_ranges - 2 * REACH) * finer + 2) / finer + REACH
+    fine = np.arange(-1, (n_ranges - 2 * REACH) * finer + 3) / finer + REACH
     below, weights = quintic_weights(fine)
     nodes = below + np.arange(1 - REACH, 1 + REACH)[:, None]
-    shares = np.einsum("tp,jtp->pj", weights, wide[:rank][:, np.minimum(nodes, n_ranges - 1)])
+    exact = np.einsum("tp,jtp->pj", weights, wide[:rank][:, np.minimum(nodes, n_ranges - 1)])
+    # Straight lines through these stray to both sides alike, so the errors of many cancel.
+    shares = exact[1:-1] - np.diff(exact, 2, axis=0) / 12.0
     return ConvolutionTable(
         bins=table.bins,
         n_directions=n_directions,
@@ -167,8 +169,8 @@ def take_apart(table: LikelihoodTable) -> ConvolutionTable:
 
 
 def _rank(flat: FloatArray, tall: FloatArray, wide: FloatArray) -> int:
-    """How many components reproduce every row to half of the table's tolerance."""
-    allowed = 0.5 * TOLERANCE * error_growth(flat[None])[0]
+    """How many components reproduce every row to twice the tolerance of the table."""
+    allowed = 2.0 * TOLERANCE * error_growth(flat[None])[0]
     rest = flat - tall[:, :1].T * wide[:1].T
     for rank in range(1, len(wide)):
         if np.all(np.abs(rest) <= allowed):

@@ -28,7 +28,7 @@ _SPREADS = (0.0, 0.15, 0.3, 0.6, 1.0)
 
 _PAIRS_AT_ONCE = 2**13
 _TABULATED_AT_ONCE = 2**14
-_ROWS_AT_ONCE = 32
+_ROWS_AT_ONCE = 16
 """Pairs and rows of which all there is to know fits the processor's cache."""
 
 _TRANSFORM_COST = 6.0

@@ -144,6 +144,12 @@ class Tile:
     cells: IntArray
     rows: IntArray
 
+    def parts(self, most_pairs: int) -> Iterator[Tile]:
+        """The tile cut into runs of cells so that each has few pairs of cells and detections."""
+        step = max(1, most_pairs // max(1, len(self.rows)))
+        for start in range(0, len(self.cells), step):
+            yield Tile(self.cells[start : start + step], self.rows)
+
 
 def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
     """The grid's touched tiles, each with its candidate detections.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,11 @@ from mclass.belief import Posterior, posterior
 from mclass.evidence import Engine, Evidence, Pairs
 from mclass.footprint import Grid, Tile, tiles
 from mclass.looks import Looks, grid_pairs
+from mclass.parallel import ordered_map
 from mclass.records import FloatArray, IntArray
+
+_PAIRS_AT_ONCE = 2**16
+"""Cells times looks that are worked on at once."""
 
 _ROUNDS = 4
 _MOST_LOG_ODDS = 30.0
@@ -37,7 +41,12 @@ class TileBelief:
 
 
 def grid_beliefs(
-    engine: Engine, looks: Looks, grid: Grid, log_priors: FloatArray, cuts_ns: Sequence[int]
+    engine: Engine,
+    looks: Looks,
+    grid: Grid,
+    log_priors: FloatArray,
+    cuts_ns: Sequence[int],
+    threads: int = 1,
 ) -> Iterator[tuple[TileBelief, ...]]:
     """Beliefs of every touched tile, each from the looks up to each of the cuts.
 
@@ -47,24 +56,48 @@ def grid_beliefs(
         grid: The cells.
         log_priors: Background first, (1 + n,).
         cuts_ns: Increasing stamps.
+        threads: Tiles worked on at once; the beliefs are the same for any number.
 
     Yields:
         For each tile one belief a cut; a tile that nothing has touched yet has no cells.
     """
     touched = list(tiles(grid, looks.pointing))
     causes = Causes.found(engine, looks, grid, log_priors, touched)
-    for number, tile in enumerate(touched):
-        pairs = tile_pairs(looks, grid, tile, causes)
-        yield tuple(
-            TileBelief(
-                number,
-                len(touched),
-                cells,
-                measurements,
-                posterior(evidence, log_priors, engine.shown_bins),
-            )
-            for cells, measurements, evidence in _cumulative(engine, looks, tile, pairs, cuts_ns)
-        )
+
+    def beliefs(number: int) -> tuple[TileBelief, ...]:
+        parts = [
+            [
+                TileBelief(
+                    number,
+                    len(touched),
+                    cells,
+                    measurements,
+                    posterior(evidence, log_priors, engine.shown_bins),
+                )
+                for cells, measurements, evidence in _cumulative(
+                    engine, looks, part, tile_pairs(looks, grid, part, causes), cuts_ns
+                )
+            ]
+            for part in touched[number].parts(_PAIRS_AT_ONCE)
+        ]
+        return tuple(_joined(beliefs) for beliefs in zip(*parts, strict=True))
+
+    yield from ordered_map(beliefs, range(len(touched)), threads)
+
+
+def _joined(parts: Sequence[TileBelief]) -> TileBelief:
+    """One belief of the cells of all parts."""
+    posteriors = [part.posterior for part in parts]
+    return replace(
+        parts[0],
+        cells=np.concatenate([part.cells for part in parts]),
+        measurements=np.concatenate([part.measurements for part in parts]),
+        posterior=Posterior(
+            np.concatenate([part.log_class_probability for part in posteriors]),
+            np.concatenate([part.log_density for part in posteriors]),
+            np.concatenate([part.log_evidence for part in posteriors]),
+        ),
+    )
 
 
 @dataclass(frozen=True)

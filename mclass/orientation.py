@@ -12,10 +12,13 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import spline_filter1d
 
-from mclass.records import FloatArray, IntArray
+from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.results import OrientationMode
 
 _MAX_FACTOR = 64
+_VALUES_AT_ONCE = 2**16
+"""Refined values that the processor's cache holds."""
+
 _MIN_MASS = 1e-3
 """Modes lighter than this are joined to their neighbour."""
 
@@ -64,35 +67,47 @@ def resolution_factors(log_values: FloatArray) -> IntArray:
     then a plain sum is the integral to nine digits.
     """
     bins = log_values.shape[-1]
-    peak = np.argmax(log_values, axis=-1)[..., None]
-    around = [
-        np.take_along_axis(log_values, np.remainder(peak + step, bins), axis=-1)[..., 0]
-        for step in (-1, 0, 1)
-    ]
+    flat = log_values.reshape(-1)
+    peak = np.argmax(log_values, axis=-1)
+    first = bins * np.arange(peak.size).reshape(peak.shape)
+    around = [flat[first + (peak + step) % bins] for step in (-1, 0, 1)]
     sharpness = np.maximum(2.0 * around[1] - around[0] - around[2], 1e-12)
     needed = np.ceil(np.log2(np.maximum(1.3 * np.sqrt(sharpness), 1.0)))
     return np.asarray(np.minimum(2 ** needed.astype(np.int64), _MAX_FACTOR))
 
 
-def log_mean_exp(log_values: FloatArray) -> FloatArray:
+def log_mean_exp(log_values: FloatArray, rough: BoolArray | None = None) -> FloatArray:
     """Log of the mean over the circle of exp(log_values), (..., bins) to (...).
 
     Rows that are minus infinity throughout stay so.
+
+    Args:
+        log_values: (..., bins).
+        rough: Rows so unlikely that the mean over their bins is good enough, (...).
     """
     flat = log_values.reshape(-1, log_values.shape[-1])
     result = np.full(len(flat), -np.inf)
     finite = np.isfinite(flat[:, 0])
-    factors = np.zeros(len(flat), dtype=np.int64)
-    factors[finite] = resolution_factors(flat[finite])
-    for factor in np.unique(factors[finite]):
+    factors = np.where(finite, 1, 0)
+    exact = np.flatnonzero(finite if rough is None else finite & ~rough.ravel())
+    factors[exact] = resolution_factors(flat[exact])
+    for factor in np.flatnonzero(np.bincount(factors)):
+        if factor == 0:
+            continue
         rows = np.flatnonzero(factors == factor)
-        step = max(1, 2**22 // (flat.shape[-1] * int(factor)))
+        step = max(1, _VALUES_AT_ONCE // (flat.shape[-1] * int(factor)))
         for start in range(0, len(rows), step):
             chunk = rows[start : start + step]
-            fine = refine(flat[chunk], int(factor))
-            peak = fine.max(axis=-1, keepdims=True)
-            result[chunk] = np.log(np.exp(fine - peak).mean(axis=-1)) + peak[:, 0]
+            result[chunk] = _log_mean_exp_of(refine(flat[chunk], int(factor)))
     return result.reshape(log_values.shape[:-1])
+
+
+def _log_mean_exp_of(log_values: FloatArray) -> FloatArray:
+    """Log of the mean of finite values along the last axis; the values are destroyed."""
+    peak = log_values.max(axis=-1)
+    log_values -= peak[..., None]
+    np.exp(log_values, out=log_values)
+    return np.asarray(np.log(log_values.mean(axis=-1)) + peak)
 
 
 def find_modes(density: FloatArray) -> tuple[OrientationMode, ...]:
