@@ -196,7 +196,7 @@ camera_info: /info
 
 def test_inference_changes_a_preset() -> None:
     assert parse_model(edited("{preset: paper}", "{preset: robust}"), "m").inference == ROBUST
-    assert parse_model(edited("inference: {preset: paper}\n", ""), "m").inference == PAPER
+    assert parse_model(edited("inference: {preset: paper}\n", ""), "m").inference == ROBUST
     keys = "{preset: robust, correlation: {range: 5, direction_deg: 90}, pointing_std_deg: 18}"
     expected = replace(ROBUST, correlation=(0.5, math.pi / 2), pointing_std=math.pi / 10)
     assert parse_model(edited("{preset: paper}", keys), "m").inference == expected

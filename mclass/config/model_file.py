@@ -60,7 +60,7 @@ _SECTIONS = (
 )
 
 _PRESETS = {"paper": PAPER, "robust": ROBUST}
-DEFAULT_PRESET = "paper"
+DEFAULT_PRESET = "robust"
 """What a file that names no preset starts from."""
 
 
