@@ -359,7 +359,7 @@ def test_density_by_hand() -> None:
         ("cell_size: 1", "cell_size: §0", "grid.cell_size", "greater than 0"),
         ("preset: paper", "preset: §papre", "inference.preset", "Did you mean 'paper'"),
         ("preset: paper", "silence: §on", "inference.silence", "true or false, not the text 'on'"),
-        ("{preset: paper}", "§{silence: true}", "inference", "set both or neither"),
+        ("{preset: paper}", "§{preset: paper, silence: true}", "inference", "set both or neither"),
         ("preset: paper", "correlation: §[1, 2]", "inference.correlation", "section"),
         # covariances
         (

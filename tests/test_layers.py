@@ -20,14 +20,16 @@ MATHEMATICS = (
     ("camera", "classes"),
     ("footprint", "observation", "correlation", "model"),
     ("table", "results", "checks"),
-    ("evidence", "orientation"),
+    ("convolution", "orientation"),
+    ("evidence",),
     ("belief", "looks", "summary"),
-    ("gridmap", "objects"),
+    ("drift", "gridmap", "objects"),
     ("association",),
     ("inference",),
     ("cells", "arrays", "joining"),
 )
 LAYERS = (
+    ("parallel",),
     *MATHEMATICS,
     ("resources", "rules", "findings"),
     ("messages", "config"),
