@@ -30,7 +30,7 @@ class Problem:
 
     Attributes:
         model: The whole model file.
-        measurements: All that was read, explainable or not.
+        measurements: All that was read, explainable or not, in canonical order.
         used: Rows of ``measurements`` that some class can explain, (k,).
         looks: The measurements and, where silence counts, the frames.
         engine: Sums evidence of looks.
@@ -46,7 +46,11 @@ class Problem:
 
 
 def prepare(model: Model, measurements: LabelMeasurements) -> Problem:
-    """Set up inference; a label set that no class can return takes part in nothing."""
+    """Set up inference; a label set that no class can return takes part in nothing.
+
+    Rows are brought into one order first, so that the order they come in matters to no bit.
+    """
+    measurements = measurements.in_canonical_order()
     settings, frames = model.inference, measurements.frames
     returned = _label_weights(PAPER, measurements) > 0.0
     used = np.arange(len(measurements))
@@ -258,9 +262,10 @@ def cuts_every(measurements: LabelMeasurements, period_ns: int | None) -> list[C
 class GridEstimate:
     """The grid's beliefs, streamed as blocks; the class maps grow beside them."""
 
-    def __init__(self, problem: Problem, cuts: Sequence[Cut]) -> None:
+    def __init__(self, problem: Problem, cuts: Sequence[Cut], threads: int = 1) -> None:
         self._problem = problem
         self._cuts = cuts
+        self._threads = threads
         self._cells: list[list[IntArray]] = [[] for _ in cuts]
         self._classes: list[list[FloatArray]] = [[] for _ in cuts]
 
@@ -271,7 +276,9 @@ class GridEstimate:
             return
         priors = problem.model.classes.log_priors
         stamps = [cut.stamp_ns for cut in self._cuts]
-        for tile in grid_beliefs(problem.engine, problem.looks, problem.grid, priors, stamps):
+        for tile in grid_beliefs(
+            problem.engine, problem.looks, problem.grid, priors, stamps, self._threads
+        ):
             for index, (cut, belief) in enumerate(zip(self._cuts, tile, strict=True)):
                 self._cells[index].append(belief.cells)
                 self._classes[index].append(belief.posterior.log_class_probability)

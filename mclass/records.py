@@ -104,10 +104,67 @@ class LabelMeasurements:
         """Log time of every row [ns], (n,)."""
         return self.frames.log_times_ns[self.frame_index]
 
+    def in_canonical_order(self) -> LabelMeasurements:
+        """The same, in an order that depends on nothing but what the measurements say.
+
+        Frames go by stamp, then by what else they hold; rows by frame, id, direction, labels and
+        scores; ids by their text. Sums over rows then come out the same to the last bit however
+        messages were ordered in a log, and detections in a message.
+        """
+        frames = self.frames
+        values = [frames.poses_world_sensor, frames.view_directions, frames.log_times_ns[:, None]]
+        if frames.covariances is not None:
+            values.append(frames.covariances.reshape(len(frames), 9))
+        columns = np.concatenate(values, axis=1).T
+        frame_order = np.lexsort((*columns[::-1], frames.stamps_ns))
+        ids = sorted(range(len(self.object_ids)), key=self.object_ids.__getitem__)
+        frame_index = _ranks(frame_order)[self.frame_index]
+        # One more for the rows without id, whose index is -1.
+        object_index = np.append(_ranks(np.array(ids, dtype=np.int64)), -1)[self.object_index]
+        keys = (self._label_ranks(), *self.directions.T, object_index, frame_index)
+        order = np.lexsort(keys)
+        counts = np.diff(self.label_offsets)[order]
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        # The place of each label: its row's old start, and how far it stands behind it.
+        taken = np.repeat(self.label_offsets[:-1][order] - offsets[:-1], counts)
+        taken = taken + np.arange(len(taken))
+        covariances = frames.covariances
+        return LabelMeasurements(
+            frames=Frames(
+                frames.stamps_ns[frame_order],
+                frames.log_times_ns[frame_order],
+                frames.poses_world_sensor[frame_order],
+                None if covariances is None else covariances[frame_order],
+                frames.view_directions[frame_order],
+            ),
+            frame_index=frame_index[order],
+            directions=self.directions[order],
+            object_index=object_index[order],
+            object_ids=tuple(self.object_ids[i] for i in ids),
+            label_offsets=offsets,
+            labels=self.labels[taken],
+            scores=self.scores[taken],
+            label_names=self.label_names,
+        )
+
+    def _label_ranks(self) -> IntArray:
+        """A number for each row's labels and scores, equal ones alike, (n,)."""
+        spans = zip(self.label_offsets[:-1].tolist(), self.label_offsets[1:].tolist(), strict=True)
+        keys = [self.labels[a:b].tobytes() + self.scores[a:b].tobytes() for a, b in spans]
+        ranks = {key: rank for rank, key in enumerate(sorted(set(keys)))}
+        return np.array([ranks[key] for key in keys], dtype=np.int64)
+
     def label_names_of(self, row: int) -> tuple[str, ...]:
         """Names of the labels in one row."""
         span = self.labels[self.label_offsets[row] : self.label_offsets[row + 1]]
         return tuple(self.label_names[i] for i in span)
+
+
+def _ranks(order: IntArray) -> IntArray:
+    """Where each element stands in an order of all."""
+    ranks = np.empty(len(order), dtype=np.int64)
+    ranks[order] = np.arange(len(order))
+    return ranks
 
 
 @dataclass
