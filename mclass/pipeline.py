@@ -72,11 +72,14 @@ def estimate(
     every_s: float | None = None,
     prefix: str = "/mclass",
     overwrite: bool = False,
+    only_new: bool = False,
+    in_place: bool = False,
+    threads: int = 1,
 ) -> Estimate:
     """Estimate every object and every cell of a log.
 
     Args:
-        log: MCAP file; never touched.
+        log: MCAP file; never touched unless ``in_place``.
         model: A model, the path of a model file or its text. Without it: ``mclass.yaml`` beside
             the log, in the working directory, or attached to the log.
         output: Where to write the log together with the results; None writes nothing.
@@ -85,11 +88,18 @@ def estimate(
         every_s: Maps and full beliefs are also written every so many seconds.
         prefix: Of the new topics.
         overwrite: Replace an existing output.
+        only_new: Write the results alone, without the log.
+        in_place: Append the results to the log itself; ``output`` must be None. A run that is
+            killed leaves a journal beside the log, by which it is restored when next opened.
+        threads: Of the grid; the results are the same for any number.
 
     Raises:
         ConfigError: The model is wrong or missing.
+        UsageError: ``in_place`` together with ``output`` or ``only_new``.
         LogError: The log cannot be used, or the output cannot be written.
     """
+    if in_place and (output is not None or only_new):
+        raise UsageError("in place, results go into the log: no output, nor only what is new")
     with LogReader.open(log) as reader:
         if model is None:
             model = find_model(reader.path, reader.attachment(MODEL_FILE_NAME))
@@ -107,20 +117,31 @@ def estimate(
         losses = (*reader.damage.losses, *contents.losses)
         _refuse_nothing(len(problem.used), skipped, losses, reader.path)
         input_hash = ""
+        if in_place:
+            _refuse_second_results(reader, prefix)
+            output = reader.path
         if output is None:
-            found = _solve(problem, contents.frame, None, every_s)
+            found = _solve(problem, contents.frame, None, every_s, threads)
         else:
-            with (
-                ThreadPoolExecutor(max_workers=1) as pool,
-                LogWriter(
-                    Path(output), source=reader, profile=reader.profile, overwrite=overwrite
-                ) as writer,
-            ):
+            with ThreadPoolExecutor(max_workers=1) as pool, contextlib.ExitStack() as stack:
                 digest = pool.submit(_sha256, reader)
+                if in_place:
+                    # What is to be hashed is about to change.
+                    digest.result()
+                writer = stack.enter_context(
+                    LogWriter(
+                        Path(output),
+                        source=reader,
+                        profile=reader.profile,
+                        overwrite=overwrite,
+                        carry_over=not only_new,
+                        in_place=in_place,
+                    )
+                )
                 channels = OutputChannels(
                     writer, contents.encoding, contents.frame, model, prefix=prefix
                 )
-                found = _solve(problem, contents.frame, channels, every_s)
+                found = _solve(problem, contents.frame, channels, every_s, threads)
                 skipped = {**contents.tally.counts, **found.skipped}
                 _refuse_nothing(found.used, skipped, losses, reader.path)
                 settings = {
@@ -211,6 +232,16 @@ def _refuse_nothing(
         raise LogError(f"no detection can be used: {'; '.join(reasons)}", path=str(path))
 
 
+def _refuse_second_results(reader: LogReader, prefix: str) -> None:
+    """Refuse to append results under the topics of others that are there."""
+    taken = [c.topic for c in reader.channels if c.topic.startswith(prefix.rstrip("/") + "/")]
+    if taken:
+        raise LogError(
+            f"has a topic {taken[0]} already. Choose another --prefix, or write a copy.",
+            path=str(reader.path),
+        )
+
+
 def _skipped(problem: Problem, counts: Mapping[str, int]) -> dict[str, int]:
     """Detections left out while reading, and those that inference can make nothing of."""
     tally = Tally(dict(counts))
@@ -238,13 +269,17 @@ def _without_effect(problem: Problem, estimated: Collection[str]) -> dict[str, i
 
 
 def _solve(
-    problem: Problem, frame: str, channels: OutputChannels | None, every_s: float | None
+    problem: Problem,
+    frame: str,
+    channels: OutputChannels | None,
+    every_s: float | None,
+    threads: int = 1,
 ) -> Estimate:
     """Estimate, writing results as they come if there is somewhere to write them."""
     measurements = problem.measurements
     updates, beliefs = estimate_objects(problem)
     period_ns = None if every_s is None else max(1, round(every_s * 1e9))
-    grid = GridEstimate(problem, cuts_every(measurements, period_ns))
+    grid = GridEstimate(problem, cuts_every(measurements, period_ns), threads)
     blocks = itertools.chain(grid.blocks(), beliefs)
     if channels is None:
         for _ in blocks:

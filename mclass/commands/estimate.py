@@ -39,6 +39,21 @@ from mclass.commands.options import (
 )
 @click.option("--prefix", default="/mclass", show_default=True, help="Prefix of the new topics.")
 @overwrite_option
+@click.option(
+    "--only-new", is_flag=True, help="Write the new channels alone, without the log's own."
+)
+@click.option(
+    "--in-place",
+    is_flag=True,
+    help="Append to LOG itself. If that is cut short, LOG is restored the next time that a "
+    "command opens it, from the journal beside it.",
+)
+@click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Threads for the grid; results are the same for any number.  [default: all cores]",
+)
 @format_option
 @plot_option
 @click.pass_context
@@ -52,27 +67,36 @@ def estimate(
     every_s: float | None,
     prefix: str,
     overwrite: bool,
+    only_new: bool,
+    in_place: bool,
+    threads: int | None,
     output_format: str,
     plot_path: Path | None,
 ) -> None:
     """Estimate class, orientation and position of every object in LOG.
 
     Reads odometry and detections, writes LOG plus the channels /mclass/... to OUT.mcap. The
-    input is never touched. Exit code 3 says that the log was damaged and what was lost.
+    input is never touched, except with --in-place. Exit code 3 says that the log was damaged and
+    what was lost.
 
     \b
     Examples:
       mclass estimate drive.mcap
       mclass estimate drive.mcap -c boxes.yaml -o result.mcap --every 10
       mclass estimate drive.mcap -S +30s -E +90s --format json
+      mclass estimate drive.mcap --only-new
     """
+    if in_place and (output is not None or only_new):
+        raise click.UsageError("--in-place writes into LOG: it goes with neither -o nor --only-new")
+    from mclass.parallel import available_threads
     from mclass.pipeline import default_output
     from mclass.pipeline import estimate as estimate_log
     from mclass.text.documents import estimate_json
     from mclass.text.reports import estimate_text
     from mclass.text.terminal import Terminal
 
-    output = default_output(log) if output is None else output
+    if output is None and not in_place:
+        output = default_output(log)
     found = estimate_log(
         log,
         model_path,
@@ -82,10 +106,13 @@ def estimate(
         every_s=every_s,
         prefix=prefix,
         overwrite=overwrite,
+        only_new=only_new,
+        in_place=in_place,
+        threads=threads or available_threads(),
     )
     facts: dict[str, Any] = {
         "input_path": str(log),
-        "output_path": str(output),
+        "output_path": str(found.output),
         "model_name": found.model.name,
         "used": found.used,
         "skipped": found.skipped,

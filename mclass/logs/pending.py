@@ -11,12 +11,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from mclass.errors import LogError
+from mclass.logs.locks import take_lock
 from mclass.logs.source import Source
-
-try:
-    import fcntl
-except ImportError:  # a system without such locks
-    fcntl = None  # type: ignore[assignment]
 
 _COPY_STEP = 1 << 26
 _READ_STEP = 1 << 20
@@ -70,7 +66,7 @@ class PendingFile:
                 except FileExistsError:
                     continue
                 self._part = part
-                _lock(self._file, wait=True)
+                take_lock(self._file, wait=True)
                 if os.fstat(self._file).st_nlink:
                     return
                 # Another run took it for a leftover in the moment before it was locked.
@@ -85,7 +81,7 @@ class PendingFile:
                 if is_part.fullmatch(part.name) and part.is_file() and not part.is_symlink():
                     file = os.open(part, os.O_RDWR)
                     try:
-                        if _lock(file, wait=False):
+                        if take_lock(file, wait=False):
                             part.unlink()
                     finally:
                         os.close(file)
@@ -234,14 +230,3 @@ class PendingFile:
         }.get(error.errno or 0, "")
         reason = (error.strerror or str(error)).lower()
         return LogError(f"cannot be written: {reason}.{advice}", path=self._name)
-
-
-def _lock(file: int, *, wait: bool) -> bool:
-    """Take the only lock of an open file; False if another has it, or the system has no locks."""
-    if fcntl is None:
-        return False
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except OSError:
-        return False
-    return True

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import IO
 
 from mclass.errors import LogError
+from mclass.logs.in_place import recover
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -83,6 +84,8 @@ class Source:
 def open_source(path: str | os.PathLike[str]) -> Source:
     """Open a log. A pipe is copied to a temporary file first.
 
+    A log that a run with ``--in-place`` left unfinished is restored first.
+
     Raises:
         LogError: If it is missing, unreadable, no file, or not MCAP; says what it is instead.
     """
@@ -95,6 +98,7 @@ def open_source(path: str | os.PathLike[str]) -> Source:
             raise LogError(_folder_advice(Path(name)), path=name)
         if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
             raise LogError("is a device or socket. Give a file or a pipe.", path=name)
+        recover(name)
         file = open(name, "rb", buffering=0)  # noqa: SIM115 (the source keeps it)
         if stat.S_ISFIFO(mode):
             file = _spool(file, name)

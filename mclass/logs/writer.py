@@ -47,6 +47,7 @@ from mcap.records import (
 from mclass.errors import LogError
 from mclass.logs.chunks import ChunkEntry, ChunkLostError, Kind, State, read_chunk
 from mclass.logs.closing import Contents, record_bytes
+from mclass.logs.in_place import InPlaceFile
 from mclass.logs.pending import PendingFile
 from mclass.logs.reader import LogReader
 from mclass.logs.source import MAGIC
@@ -101,6 +102,8 @@ class LogWriter:
         source: Log whose data is carried over first; None for a new log.
         profile: Of a new log; a source keeps its own.
         overwrite: Whether a file of that name may be replaced.
+        carry_over: False for a log of the new data alone; the source is then only protected.
+        in_place: Append to the source itself; the output is its path.
         progress: Called with bytes copied and bytes in all while the source is carried over.
 
     Raises:
@@ -114,14 +117,22 @@ class LogWriter:
         source: LogReader | None = None,
         profile: str = "",
         overwrite: bool = False,
+        carry_over: bool = True,
+        in_place: bool = False,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         self.path = Path(output)
-        self._source = source
+        self._source = source if carry_over else None
         self._profile = profile
         self._progress = progress
-        reader_source = None if source is None else source.source
-        self._file = PendingFile(self.path, overwrite=overwrite, source=reader_source)
+        self._file: PendingFile | InPlaceFile
+        if in_place:
+            assert source is not None
+            _refuse_broken(source)
+            self._file = InPlaceFile(self.path, source.index.data_end)
+        else:
+            reader_source = None if source is None else source.source
+            self._file = PendingFile(self.path, overwrite=overwrite, source=reader_source)
         self._position = 0
         self._crc: int | None = 0
         self._contents = Contents()
@@ -453,6 +464,17 @@ def _without(
         if end > begin:
             left.append((begin, end))
     return left
+
+
+def _refuse_broken(reader: LogReader) -> None:
+    """Refuse to append to a log that would have to be mended first."""
+    index = reader.index
+    whole = index.has_header and index.kept == [(len(MAGIC), index.data_end)]
+    if reader.damage.losses or not whole or not all(map(_is_copied, index.chunks)):
+        raise LogError(
+            "is damaged, so nothing is appended to it. Write a mended copy, without --in-place.",
+            path=str(reader.path),
+        )
 
 
 def _moved(entry: ChunkEntry, shift: int) -> ChunkIndex:
