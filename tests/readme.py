@@ -23,6 +23,8 @@ _FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _ZERO = 1e-9
 """Numbers closer to each other than this are equal: what is left of a rounded zero."""
+_NOISE = 1e-5
+"""And so are those whose ratio is this close to 1: beliefs are tabulated, all digits are not."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,8 @@ def _words(text: str) -> str:
 
 def _same_number(a: str, b: str) -> bool:
     step = max(_last_digit(a), _last_digit(b), _ZERO)
-    return abs(float(a) - float(b)) <= 1.01 * step
+    noise = _NOISE * abs(float(a)) if "." in a else 0.0
+    return abs(float(a) - float(b)) <= max(1.01 * step, noise)
 
 
 def _last_digit(number: str) -> float:
