@@ -105,12 +105,19 @@ def fuse(
                 for key, place in chosen.objects.items()
             },
         )
+    inference = chosen.inference
+    if inference.trajectory_samples and len(sources) > 1:
+        raise UsageError(
+            f"{chosen.name} draws trajectories (inference.trajectory_samples) of one log, but "
+            "each of these has its own. Say with -c a model without them."
+        )
     world = frame or _common_frame(sources, related=frames is not None)
     poses: list[FloatArray] = [np.zeros(3)] * len(sources)
     if frames is not None:
         aliases = [(str(source.path), source.path.name, _stem(source.path)) for source in sources]
         poses = load_frames(frames, [tuple(dict.fromkeys(names)) for names in aliases])
-    drift = chosen.inference.drift if chosen.inference.pose_uncertainty else 0.0
+    uncertain = inference.pose_uncertainty or inference.trajectory_samples > 0
+    drift = inference.drift if uncertain else 0.0
     parts = [
         Part(source.measurements, pose, source.name if separate_ids else "")
         for source, pose in zip(sources, poses, strict=True)

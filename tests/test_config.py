@@ -16,7 +16,7 @@ from mclass.config import yaml_source
 from mclass.config.find import MODEL_FILE_NAME, find_model
 from mclass.config.model_file import load_model, parse_model
 from mclass.errors import ConfigError, ConfigProblem
-from mclass.model import PAPER, ROBUST, FieldMapping, Model, TransformSource
+from mclass.model import ROBUST, FieldMapping, Model, TransformSource
 
 VALID = """\
 length_unit: dm

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from models import measurements_of
 from scipy.special import logsumexp
 
 from mclass.config.model_file import parse_model
@@ -13,7 +14,6 @@ from mclass.drift import sample_offsets, shifted
 from mclass.inference import estimate_objects, prepare
 from mclass.records import FloatArray, LabelMeasurements
 from mclass.results import BeliefBlock
-from tests.models import measurements_of
 
 MODEL = """
 viewpoints: {front: {position: [1.5, 0], covariance: 0.4}}

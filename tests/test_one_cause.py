@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from models import measurements_of
 
 from mclass.cells import grid_history
 from mclass.config.model_file import parse_model
 from mclass.inference import GridEstimate, Problem, cuts_every, prepare
 from mclass.results import ClassMaps
-from tests.models import measurements_of
 
 MODEL = """
 viewpoints:

@@ -284,4 +284,4 @@ def _by_walking(data: bytes) -> ChunkContent:
 def _is_definition(
     opcodes: np.ndarray[tuple[int], np.dtype[np.uint8]],
 ) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    return (opcodes == Opcode.SCHEMA) | (opcodes == Opcode.CHANNEL)
+    return np.asarray((opcodes == Opcode.SCHEMA) | (opcodes == Opcode.CHANNEL))
