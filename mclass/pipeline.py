@@ -20,6 +20,7 @@ from mclass.errors import LogError, UsageError
 from mclass.findings import Estimate
 from mclass.inference import (
     UNEXPLAINED,
+    Cut,
     GridEstimate,
     Problem,
     cuts_every,
@@ -95,6 +96,7 @@ def estimate(
 
     Raises:
         ConfigError: The model is wrong or missing.
+        ModelError: It would not fit into memory.
         UsageError: ``in_place`` together with ``output`` or ``only_new``.
         LogError: The log cannot be used, or the output cannot be written.
     """
@@ -113,6 +115,7 @@ def estimate(
             None if end is None else find_time_bound(end, first),
         )
         problem = prepare(model, contents.measurements)
+        require_memory(problem, len(_cuts(problem, every_s)), threads)
         skipped = _skipped(problem, contents.tally.counts)
         losses = (*reader.damage.losses, *contents.losses)
         _refuse_nothing(len(problem.used), skipped, losses, reader.path)
@@ -194,6 +197,7 @@ def infer(
 
     Raises:
         ConfigError: The model is wrong.
+        ModelError: It would not fit into memory.
         UsageError: The measurements know other labels than the model.
         LogError: The output cannot be written.
     """
@@ -204,6 +208,7 @@ def infer(
             f"{model.name}: {', '.join(model.classes.label_names)}"
         )
     problem = prepare(model, measurements)
+    require_memory(problem, len(_cuts(problem, every_s)), threads=1)
     with contextlib.ExitStack() as stack:
         channels = None
         if output is not None:
@@ -278,8 +283,7 @@ def _solve(
     """Estimate, writing results as they come if there is somewhere to write them."""
     measurements = problem.measurements
     updates, beliefs = estimate_objects(problem)
-    period_ns = None if every_s is None else max(1, round(every_s * 1e9))
-    grid = GridEstimate(problem, cuts_every(measurements, period_ns), threads)
+    grid = GridEstimate(problem, _cuts(problem, every_s), threads)
     blocks = itertools.chain(grid.blocks(), beliefs)
     if channels is None:
         for _ in blocks:
@@ -314,6 +318,12 @@ def _solve(
         idle=sum(idle.values()),
         problem=problem,
     )
+
+
+def _cuts(problem: Problem, every_s: float | None) -> list[Cut]:
+    """When maps are written."""
+    period_ns = None if every_s is None else max(1, round(every_s * 1e9))
+    return cuts_every(problem.measurements, period_ns)
 
 
 def _sha256(reader: LogReader) -> str:

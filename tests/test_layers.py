@@ -16,6 +16,7 @@ PACKAGE = Path(mclass.__file__).resolve().parent
 
 MATHEMATICS = (
     ("errors", "records"),
+    ("logarithms", "splines"),
     ("geometry", "transforms", "viewpoints"),
     ("camera", "classes"),
     ("footprint", "observation", "correlation", "model"),
@@ -38,6 +39,7 @@ LAYERS = (
     ("evaluation",),
     ("text",),
     ("plot",),
+    ("memory",),
     ("pipeline", "initialise", "inspection"),
     ("batch", "fusion"),
     ("commands",),
