@@ -19,6 +19,8 @@ _BORDER = 1e-9
 _TILE = 16
 """Cells along the edge of a tile."""
 
+TILE_CELLS = _TILE**2
+
 
 @dataclass(frozen=True)
 class Grid:

@@ -31,6 +31,7 @@ from mclass.logs.measurements import read_measurements
 from mclass.logs.reader import LogReader
 from mclass.logs.times import find_time_bound
 from mclass.logs.writer import LogWriter
+from mclass.memory import require_memory
 from mclass.model import Model
 from mclass.outputs.channels import Encoding, OutputChannels
 from mclass.records import LabelMeasurements, Tally
