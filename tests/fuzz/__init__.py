@@ -1,0 +1,1 @@
+"""Fuzzing: targets, inputs to start from, and inputs that once went wrong."""
