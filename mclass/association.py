@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mclass.evidence import Engine
 from mclass.footprint import Grid, sight, tiles
+from mclass.logarithms import logsumexp
 from mclass.looks import Looks, grid_pairs, object_looks, off_axis
 from mclass.objects import ObjectFilter, pointed_cells
 from mclass.orientation import log_mean_exp
@@ -187,7 +187,7 @@ def _log_fit(engine: Engine, looks: Looks, grid: Grid, rows: IntArray, place: _P
         if place.class_index in term.classes:
             value = term.log_likelihood(views)[list(term.classes).index(place.class_index)]
         odds += np.where(weights > 0.0, weights * (value - term.background), 0.0)
-    return odds + logsumexp(concern.log_factor, b=place.mass[:, None], axis=0)
+    return odds + logsumexp(concern.log_factor, weights=place.mass[:, None], axis=0)
 
 
 def _one_a_frame(looks: Looks, rows: IntArray, shares: FloatArray) -> IntArray:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mclass.evidence import Evidence
+from mclass.logarithms import logsumexp
 from mclass.orientation import log_mean_exp
 from mclass.records import FloatArray
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.fft import irfft, rfft
+from numpy.fft import irfft, rfft
 from scipy.sparse import csc_array, csr_array
 
 from mclass.records import FloatArray, IntArray

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import logsumexp
 
+from mclass.logarithms import logsumexp
 from mclass.records import FloatArray, Frames, LabelMeasurements
 from mclass.results import BeliefBlock
 from mclass.summary import Readout
@@ -69,7 +69,7 @@ def averaged_belief(blocks: Sequence[BeliefBlock], log_evidence: Sequence[float]
     """One belief of several over the same grid, each weighed by its evidence."""
     if len(blocks) == 1:
         return blocks[0]
-    log_weights = np.asarray(log_evidence) - logsumexp(log_evidence)
+    log_weights = np.asarray(log_evidence) - logsumexp(np.asarray(log_evidence))
     cells = np.unique(np.concatenate([block.cells for block in blocks]))
     _, n_classes, bins = blocks[0].log_density.shape
     log_class = np.full((len(blocks), len(cells), 1 + n_classes), -np.inf)
@@ -80,9 +80,9 @@ def averaged_belief(blocks: Sequence[BeliefBlock], log_evidence: Sequence[float]
         at = np.searchsorted(cells, block.cells)
         into_class[at] = block.log_class_probability + block.log_cell_mass[:, None] + weight
         into_joint[at] = into_class[at][:, 1:, None] + block.log_density
-    together = np.asarray(logsumexp(log_class, axis=0))
+    together = np.asarray(logsumexp(np.asarray(log_class), axis=0))
     log_mass = np.asarray(logsumexp(together, axis=1))
-    density = np.asarray(logsumexp(log_joint, axis=0)) - together[:, 1:, None]
+    density = np.asarray(logsumexp(np.asarray(log_joint), axis=0)) - together[:, 1:, None]
     possible = np.isfinite(together[:, 1:, None])
     return replace(
         blocks[0],

@@ -122,6 +122,7 @@ class Engine:
         position_covariances: Of the sensor in the world [m²], (looks, 2, 2), widening every
             viewpoint; None for exact poses.
         reported_bins: Bins that beliefs are reported in, a divisor of ``bins``; 0 for all.
+        direct: Build no tables: there is too little to sum.
     """
 
     terms: tuple[Term, ...]
@@ -131,6 +132,7 @@ class Engine:
     term_weights: FloatArray
     position_covariances: FloatArray | None = None
     reported_bins: int = 0
+    direct: bool = False
     _tables: dict[tuple[int, int, int], tuple[LikelihoodTable, ConvolutionTable]] = field(
         default_factory=dict
     )
@@ -143,7 +145,7 @@ class Engine:
 
     def evidence(self, pairs: Pairs) -> Evidence:
         """Sum the log likelihoods of all pairs, from tables where the model allows it."""
-        return self._sum(pairs, exact=False)
+        return self._sum(pairs, exact=self.direct)
 
     def exact_evidence(self, pairs: Pairs) -> Evidence:
         """Sum the log likelihoods of all pairs, each evaluated directly in float64."""

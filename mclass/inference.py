@@ -21,6 +21,9 @@ from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
 from mclass.summary import summarise
 from mclass.table import resolving_bins
 
+_LITTLE_WORK = 3e6
+"""So few numbers are added up faster than tables are built."""
+
 UNEXPLAINED = "labels that no class returns together"
 
 
@@ -94,8 +97,21 @@ def prepare(model: Model, measurements: LabelMeasurements) -> Problem:
         position_covariances=None if covariances is None else covariances[:, :2, :2],
         reported_bins=model.grid.orientation_bins,
     )
+    if _work(engine, model.grid.cell_size) < _LITTLE_WORK:
+        engine = replace(engine, direct=True)
     grid = _grid(model, pointing.select(np.arange(len(measurements))))
     return Problem(model, measurements, used, looks, engine, grid)
+
+
+def _work(engine: Engine, cell_size: float) -> float:
+    """How many numbers direct evaluation would add up, roughly and at most."""
+    pointing = engine.pointing
+    widths = pointing.widths[np.isfinite(pointing.directions).all(axis=1)]
+    near, far = pointing.min_range, pointing.max_range
+    cells = widths / 2.0 * (far**2 - near**2) / cell_size**2 + 2.0 * (far - near) / cell_size
+    # Every look at an object is evaluated at every cell that any look at it points at.
+    pairs = cells.sum() * (1 + len(widths))
+    return float(pairs) * engine.n_classes * engine.bins
 
 
 def _label_weights(settings: InferenceSettings, measurements: LabelMeasurements) -> FloatArray:

@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mclass.belief import log_orientation_density
 from mclass.correlation import LookLattice
 from mclass.evidence import Engine, Evidence, Pairs
 from mclass.footprint import Grid, Pointing, sight, tiles
+from mclass.logarithms import logsumexp
 from mclass.looks import Concern, ObjectLooks
 from mclass.orientation import log_mean_exp
 from mclass.records import BoolArray, FloatArray, IntArray

@@ -10,10 +10,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import spline_filter1d
 
 from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.results import OrientationMode
+from mclass.splines import spline_coefficients
 
 _MAX_FACTOR = 64
 _VALUES_AT_ONCE = 2**16
@@ -31,7 +31,7 @@ def _refinement(bins: int, factor: int) -> FloatArray:
     """Matrix that takes values at the bins to values at ``bins * factor`` angles."""
     impulse = np.zeros(bins)
     impulse[0] = 1.0
-    coefficients = spline_filter1d(impulse, order=5, mode="grid-wrap")
+    coefficients = spline_coefficients(impulse, axis=0)
     offsets = np.arange(bins * factor) / factor
     # Column b is the response to an impulse at bin b: the same curve, b bins later.
     distance = np.remainder(offsets[:, None] - np.arange(bins)[None, :], bins)
@@ -49,7 +49,9 @@ def _quintic_basis(distance: FloatArray) -> FloatArray:
     """Cardinal quintic B-spline at a non-negative distance."""
     total = np.zeros_like(distance)
     for knot, sign in ((3.0, 1.0), (2.0, -6.0), (1.0, 15.0)):
-        total += sign * np.maximum(knot - distance, 0.0) ** 5
+        rest = np.maximum(knot - distance, 0.0)
+        square = rest * rest
+        total += sign * square * square * rest
     return total / 120.0
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mclass.geometry import wrap_angle
+from mclass.logarithms import logsumexp
 from mclass.orientation import find_modes, parabola_vertex, refine, resolution_factors
 from mclass.records import FloatArray
 from mclass.results import ObjectEstimate, OrientationMode

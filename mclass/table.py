@@ -24,11 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import correlate1d, spline_filter1d
 from scipy.sparse import csr_array
 
 from mclass.observation import Term
 from mclass.records import FloatArray, IntArray
+from mclass.splines import half_way_values, spline_coefficients
 
 TOLERANCE = 4e-6
 """Error allowed between the nodes."""
@@ -40,9 +40,6 @@ _BIN_TOLERANCE = 2e-4
 """Error allowed between orientation bins, where errors of either sign largely cancel."""
 
 _MOST_BINS = 288
-_HALF_WAY = np.array([1.0, 237.0, 1682.0, 1682.0, 237.0, 1.0]) / 3840.0
-"""Quintic B-spline half-way between two nodes."""
-
 _PADDING = 20
 """Range nodes sampled beyond those used: a prefilter's wrong boundary fades by 0.43 a node."""
 
@@ -166,9 +163,8 @@ def build_table(
         n_ranges = int(np.ceil(max_range / range_step)) + 1 + 2 * _PADDING
         ranges: FloatArray = range_step * np.arange(-_PADDING, n_ranges - _PADDING, dtype=float)
         samples = _evaluate(term, ranges, _circle(n_directions), position_variance)
-        coefficients = _coefficients(samples)
         range_error, direction_error = _interpolation_errors(
-            term, ranges, samples, coefficients, min_range, position_variance
+            term, ranges, samples, min_range, position_variance
         )
         if max(range_error, direction_error) <= 1.0:
             break
@@ -178,6 +174,7 @@ def build_table(
         if nodes * len(term.classes) * 16 > _MAX_BYTES:
             break
         range_step, n_directions = finer_step, finer_count
+    coefficients = spline_coefficients(spline_coefficients(samples, 1, mirrored=True), 2)
     kept = coefficients[:, _PADDING - REACH : len(ranges) - _PADDING + REACH]
     # (k, ranges, turn, phase) to (ranges, phase, k, turn), then around against the circle.
     turns = kept.reshape(*kept.shape[:2], bins, -1).transpose(1, 3, 0, 2)
@@ -205,9 +202,8 @@ def _aspect_error(term: Term, ranges: FloatArray, count: int) -> float:
     """Greatest error of a spline through ``count`` aspects, half-way between them."""
     aspects = _circle(count)
     samples = _evaluate(term, ranges, aspects)
-    coefficients = spline_filter1d(samples, order=5, axis=2, mode="grid-wrap")
-    between = correlate1d(coefficients, _HALF_WAY, axis=2, mode="wrap", origin=-1)
-    error = np.abs(between - _evaluate(term, ranges, aspects + aspects[1] / 2.0))
+    between = _evaluate(term, ranges, aspects + aspects[1] / 2.0)
+    error = np.abs(half_way_values(samples, 2) - between)
     return float((error / error_growth(samples)).max())
 
 
@@ -239,34 +235,20 @@ def _evaluate(
     return term.log_likelihood(ranges[:, None, None] * directions[None, :, :], None, spread)
 
 
-def _coefficients(samples: FloatArray) -> FloatArray:
-    """Quintic B-spline coefficients that interpolate the samples, same shape."""
-    along_range = spline_filter1d(samples, order=5, axis=1, mode="mirror")
-    return np.asarray(spline_filter1d(along_range, order=5, axis=2, mode="grid-wrap"))
-
-
 def _interpolation_errors(
     term: Term,
     ranges: FloatArray,
     samples: FloatArray,
-    coefficients: FloatArray,
     min_range: float,
     position_variance: float,
 ) -> tuple[float, float]:
     """Greatest errors half-way between nodes along range and direction, in tolerances."""
     aspects = _circle(samples.shape[2])
-
-    def midpoints(axis: int) -> FloatArray:
-        """Spline values half-way to the next node along one axis, at the nodes of the other."""
-        whole = np.array([1.0, 26.0, 66.0, 26.0, 1.0]) / 120.0
-        along = correlate1d(coefficients, _HALF_WAY, axis=axis, mode="wrap", origin=-1)
-        return np.asarray(correlate1d(along, whole, axis=3 - axis, mode="wrap"))
-
     allowed = TOLERANCE * error_growth(samples)
     used = slice(int(np.searchsorted(ranges, min_range)), len(ranges) - _PADDING)
     between = ranges + (ranges[1] - ranges[0]) / 2.0
     half_range = _evaluate(term, between, aspects, position_variance)
     half_aspect = _evaluate(term, ranges, aspects + aspects[1] / 2.0, position_variance)
-    along_range = np.abs(midpoints(1) - half_range) / allowed
-    along_aspect = np.abs(midpoints(2) - half_aspect) / allowed
+    along_range = np.abs(half_way_values(samples, 1, mirrored=True) - half_range) / allowed
+    along_aspect = np.abs(half_way_values(samples, 2) - half_aspect) / allowed
     return float(along_range[:, used].max()), float(along_aspect[:, used].max())

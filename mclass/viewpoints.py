@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mclass.errors import ModelError
+from mclass.logarithms import logsumexp
 from mclass.records import FloatArray
 
 _LOG_2PI = float(np.log(2.0 * np.pi))

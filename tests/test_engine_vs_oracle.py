@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -50,6 +51,14 @@ few = settings(
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _tables() -> Iterator[None]:
+    """Little is summed here, which would be done without tables."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mclass.inference._LITTLE_WORK", 0.0)
+        yield
 
 
 def model_of(

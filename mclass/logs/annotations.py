@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mclass.logs.detections import Detections, TextArray, encode_texts, read_stamps
 from mclass.logs.tables import Table
@@ -155,6 +154,9 @@ def _outlines(table: Table) -> _Outlines:
 
 def _nearest_outlines(table: Table, text_message: IntArray) -> IntArray:
     """Index of the outline that each text stands at, -1 for none in its message."""
+    # Takes longer to load than most logs to read, and few logs need it.
+    from scipy.spatial import cKDTree  # noqa: PLC0415
+
     outlines = _outlines(table)
     nearest = np.full(len(text_message), -1)
     places = np.stack(

@@ -11,8 +11,6 @@ from mclass.footprint import Grid
 from mclass.model import Model
 from mclass.outputs.encoder import Encoder, Message, OutputContext, Schema
 from mclass.outputs.layout import layout_for
-from mclass.outputs.protobuf_encoder import ProtobufEncoder
-from mclass.outputs.ros_encoder import RosEncoder
 from mclass.outputs.scene import arrow_length
 from mclass.records import LabelMeasurements
 from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
@@ -67,11 +65,7 @@ class OutputChannels:
             f"/{prefix.strip('/')}",
             arrow_length(model.grid.cell_size),
         )
-        self._encoder: Encoder = (
-            RosEncoder(self._context)
-            if encoding == "ros2"
-            else ProtobufEncoder(self._context, encoding == "json")
-        )
+        self._encoder = _encoder(self._context, encoding)
         self._latest: dict[str, ObjectEstimate] = {}
         self.topics_left_out: set[str] = set()
         self._grid: Grid | None = None
@@ -188,3 +182,14 @@ class OutputChannels:
                 topic, schema.message_encoding, schema.name, schema.schema_encoding, schema.data
             )
         return self._channels[topic]
+
+
+def _encoder(context: OutputContext, encoding: Encoding) -> Encoder:
+    """Encoder of messages; loads what it needs only: protobuf takes long."""
+    if encoding == "ros2":
+        from mclass.outputs.ros_encoder import RosEncoder  # noqa: PLC0415
+
+        return RosEncoder(context)
+    from mclass.outputs.protobuf_encoder import ProtobufEncoder  # noqa: PLC0415
+
+    return ProtobufEncoder(context, encoding == "json")

@@ -14,7 +14,6 @@ import numpy as np
 from mclass.classes import BACKGROUND
 from mclass.errors import LogError, UsageError
 from mclass.logs.reader import ChannelInfo, LogReader
-from mclass.messages import proto_json, protobuf
 from mclass.messages.cdr import CdrCodec
 from mclass.messages.definitions import normalise_name, parse_definitions
 from mclass.outputs.channels import METADATA_NAME, MODEL_ATTACHMENT
@@ -327,8 +326,13 @@ def _codec(channel: ChannelInfo) -> _Decoder:
         text = channel.schema_data.decode("utf-8", "replace")
         definitions = parse_definitions(channel.schema_name, text, "ros2msg")
         return CdrCodec(definitions, normalise_name(channel.schema_name))
+    # Loaded when met: a ROS log does not need protobuf, which takes long.
     if channel.message_encoding == "json":
+        from mclass.messages import proto_json  # noqa: PLC0415
+
         return proto_json.codec(channel.schema_name)
+    from mclass.messages import protobuf  # noqa: PLC0415
+
     return protobuf.codec(channel.schema_name)
 
 
