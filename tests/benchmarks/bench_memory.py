@@ -1,0 +1,37 @@
+"""Peak memory of `mclass estimate` against the beliefs of all touched cells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mclass.outputs.readback import OutputLog
+
+from . import generated
+from .process import mclass
+from .tables import Row
+
+CASES = ((1_000, 0, 0.1, 72), (30_000, 0, 0.1, 72), (1_000, 300, 0.1, 72), (1_000, 0, 0.03, 72),
+         (1_000, 0, 0.1, 360))  # fmt: skip
+
+
+def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
+    rows = []
+    for pairs, images, cell_size, bins in CASES:
+        log, output, model = folder / "log.mcap", folder / "out.mcap", folder / "model.yaml"
+        generated.write_ros(log, pairs, boxes=1, ids=False, images=images, size=2**20)
+        text = generated.MODEL.replace("cell_size: 0.1", f"cell_size: {cell_size}")
+        model.write_text(text.replace("orientation_bins: 72", f"orientation_bins: {bins}"))
+        peak = mclass("estimate", log, "-c", model, "-o", output, "--overwrite").peak
+        with OutputLog.open(output) as results:
+            touched = len(results.maps().cells)
+            classes = len(results.class_names) - 1
+        limit = 1.5 * touched * classes * bins * 4 + 200e6
+        rows.append(
+            Row(
+                f"{pairs:,} detections, {log.stat().st_size / 2**20:,.0f} MB, {touched:,} touched "
+                f"cells of {cell_size} m, {classes} classes, {bins} bins",
+                f"{peak / 1e6:.0f} MB",
+                f"1.5 × beliefs + 200 MB = {limit / 1e6:.0f} MB",
+            )
+        )
+    return "### Peak memory", rows

@@ -1,0 +1,130 @@
+"""Reading poses and detections, from the file to columns, against decoders of messages in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Schema
+from mcap_protobuf.decoder import DecoderFactory
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from mclass.config.model_file import parse_model
+from mclass.logs.decode.base import ChannelDecoder
+from mclass.logs.measurements import read_measurements
+from mclass.logs.reader import LogReader
+
+from . import generated
+from .tables import Row, fastest
+
+PAIRS = 100_000
+
+_POSE = [
+    f"pose.pose.{part}"
+    for part in (
+        *(f"position.{axis}" for axis in "xyz"),
+        *(f"orientation.{axis}" for axis in "xyzw"),
+    )
+]
+ODOMETRY = ["header.stamp", "header.frame_id", "child_frame_id", *_POSE, "pose.covariance"]
+DETECTIONS = [
+    "header.stamp",
+    "header.frame_id",
+    "detections[].id",
+    "detections[].results[].hypothesis.class_id",
+    "detections[].results[].hypothesis.score",
+    *(f"detections[].bbox.center.position.{axis}" for axis in "xyz"),
+    *(f"detections[].bbox.center.orientation.{axis}" for axis in "xyzw"),
+    *(f"detections[].bbox.size.{axis}" for axis in "xyz"),
+]
+POSES = ["timestamp", "frame_id", *(path.removeprefix("pose.") for path in _POSE)]
+
+
+def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
+    ros, proto = folder / "ros.mcap", folder / "protobuf.mcap"
+    generated.write_ros(ros, PAIRS)
+    generated.write_protobuf(proto, PAIRS)
+    rows = []
+    for topic, paths, name, wanted in (
+        ("/odom", ODOMETRY, generated.ODOMETRY, 8),
+        ("/detections", DETECTIONS, generated.DETECTIONS, 3),
+    ):
+        messages, deserialise = _payloads(ros, topic), _rosbags(ros, topic, name)
+        rows.append(_compare(runs, ros, topic, paths, messages, deserialise, "rosbags", wanted))
+        del messages
+    messages, decode = _payloads(proto, "/pose"), _mcap_protobuf(proto)
+    rows.append(_compare(runs, proto, "/pose", POSES, messages, decode, "mcap_protobuf", 3))
+    model = parse_model(generated.MODEL, "model")
+
+    def whole() -> None:
+        with LogReader.open(ros) as reader:
+            read_measurements(reader, model)
+
+    (seconds,) = fastest(runs, whole)
+    rate = 2 * PAIRS / seconds
+    rows.append(Row("both, placed and matched, ready for inference", f"{rate:,.0f} messages/s"))
+    return f"### Reading: {2 * PAIRS:,} ROS 2 messages, {PAIRS:,} protobuf messages", rows
+
+
+def _compare(
+    runs: int,
+    path: Path,
+    topic: str,
+    paths: Sequence[str],
+    messages: Sequence[bytes],
+    decode: Callable[[bytes], Any],
+    other: str,
+    wanted: int,
+) -> Row:
+    """Our reading of the file against the other's decoding of messages that are in memory."""
+
+    def ours() -> None:
+        with LogReader.open(path) as reader:
+            (channel,) = (channel for channel in reader.channels if channel.topic == topic)
+            decoder = ChannelDecoder.for_channel(channel)
+            read = sum(
+                len(decoder.columns(batch, paths).rows) for batch in reader.batches([channel.id])
+            )
+        assert read == len(messages)
+
+    def theirs() -> None:
+        for message in messages:
+            decode(message)
+
+    own, seconds = fastest(runs, ours, theirs)
+    count = len(messages)
+    return Row(
+        f"{topic}: columns from the file; {other} decodes {count / seconds:,.0f} messages/s",
+        f"{count / own:,.0f} messages/s, {seconds / own:.1f} times as many",
+        f"at least {wanted} times",
+    )
+
+
+def _payloads(path: Path, topic: str) -> list[bytes]:
+    with LogReader.open(path) as reader:
+        channels = [channel.id for channel in reader.channels if channel.topic == topic]
+        return [
+            bytes(batch.buffer[offset : offset + length])
+            for batch in reader.batches(channels)
+            for offset, length in zip(batch.offsets.tolist(), batch.lengths.tolist(), strict=True)
+        ]
+
+
+def _schema(path: Path, topic: str) -> bytes:
+    with LogReader.open(path) as reader:
+        return next(c.schema_data for c in reader.channels if c.topic == topic)
+
+
+def _rosbags(path: Path, topic: str, name: str) -> Callable[[bytes], Any]:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = get_types_from_msg(_schema(path, topic).decode(), name)
+    store.register({key: value for key, value in types.items() if key not in store.fielddefs})
+    return lambda message: store.deserialize_cdr(message, name)
+
+
+def _mcap_protobuf(path: Path) -> Callable[[bytes], Any]:
+    schema = Schema(id=1, name=generated.POSE, encoding="protobuf", data=_schema(path, "/pose"))
+    decoder = DecoderFactory().decoder_for("protobuf", schema)
+    assert decoder is not None
+    return decoder
