@@ -6,6 +6,7 @@ import ctypes
 import shutil
 import subprocess
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -39,7 +40,7 @@ def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
     for classes, bins in ((3, 72), (10, 360)):
         model, measurements = scene.field(classes, bins, COUNT)
         cells = DIRECT_CELLS[classes]
-        functions = [
+        functions: list[Callable[[], object]] = [
             partial(estimate, model, measurements, THREADS),
             partial(direct, model, measurements, cells),
         ]
@@ -132,7 +133,7 @@ def direct(model: Model, measurements: LabelMeasurements, count: int) -> FloatAr
     return total
 
 
-def _greatest(found: FloatArray, wanted: FloatArray) -> float:
+def _greatest(found: NDArray[np.floating], wanted: FloatArray) -> float:
     """Difference where log beliefs are within 20 of the greatest of their cell."""
     matters = wanted > wanted.max(axis=(1, 2), keepdims=True) - 20.0
     return float(np.abs(found - wanted)[matters].max())

@@ -1,4 +1,4 @@
-"""Reading poses and detections, from the file to columns, against decoders of messages in memory."""
+"""Reading poses and detections from file to columns, against decoding of messages in memory."""
 
 from __future__ import annotations
 

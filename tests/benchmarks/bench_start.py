@@ -20,7 +20,7 @@ def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
     empty.write_text(EMPTY)
     shutil.copy(SAMPLE, log)
     names = ("help", "empty", "completion", "estimate", "imports", "inspect")
-    commands = (
+    commands: tuple[list[str | Path], ...] = (
         [program, "--help"],
         [sys.executable, empty, "--help"],
         ["env", "_MCLASS_COMPLETE=bash_complete", "COMP_WORDS=mclass", "COMP_CWORD=1", program],
