@@ -32,11 +32,13 @@ def _refinement(bins: int, factor: int) -> FloatArray:
     impulse = np.zeros(bins)
     impulse[0] = 1.0
     coefficients = spline_coefficients(impulse, axis=0)
-    offsets = np.arange(bins * factor) / factor
-    # Column b is the response to an impulse at bin b: the same curve, b bins later.
-    distance = np.remainder(offsets[:, None] - np.arange(bins)[None, :], bins)
+    # The response to an impulse at bin 0: the basis at every fine angle, weighed and summed.
+    distance = np.arange(bins * factor) / factor
     basis = _quintic_basis(np.minimum(distance, bins - distance))
-    response = basis @ coefficients
+    spread = np.zeros(bins * factor)
+    spread[::factor] = coefficients
+    response = np.fft.irfft(np.fft.rfft(basis) * np.fft.rfft(spread), n=bins * factor)
+    # Column b is the same curve, b bins later.
     shifts = np.remainder(
         np.arange(bins * factor)[None, :] - factor * np.arange(bins)[:, None], bins * factor
     )

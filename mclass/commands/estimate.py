@@ -91,10 +91,6 @@ def estimate(
     from mclass.parallel import available_threads
     from mclass.pipeline import default_output
     from mclass.pipeline import estimate as estimate_log
-    from mclass.text.documents import estimate_json
-    from mclass.text.reports import estimate_text
-    from mclass.text.terminal import Terminal
-
     if output is None and not in_place:
         output = default_output(log)
     found = estimate_log(
@@ -123,8 +119,13 @@ def estimate(
         "notes": found.notes,
     }
     if output_format == "json":
+        from mclass.text.documents import estimate_json
+
         echo_json(estimate_json(**facts))
     else:
+        from mclass.text.reports import estimate_text
+        from mclass.text.terminal import Terminal
+
         click.echo(estimate_text(**facts, terminal=Terminal.of(sys.stdout)))
     if plot_path is not None:
         from mclass.errors import UsageError

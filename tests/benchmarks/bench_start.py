@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -16,6 +17,9 @@ IMPORTS = "import numpy, scipy.sparse, mcap.records, mcap.reader"
 
 def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
     program = Path(sys.executable).with_name("mclass")
+    # Modules are compiled in the first run and kept, as where mclass is installed.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = str(folder / "compiled")
     empty, log = folder / "empty.py", folder / "toy.mcap"
     empty.write_text(EMPTY)
     shutil.copy(SAMPLE, log)

@@ -20,9 +20,9 @@ class Run:
     peak: int
 
 
-def run(command: Sequence[str | Path], folder: Path | None = None) -> Run:
+def run(command: Sequence[str | Path]) -> Run:
     start = time.perf_counter()
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=folder)
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(child.pid, 0)
     seconds = time.perf_counter() - start
     child.returncode = os.waitstatus_to_exitcode(status)
@@ -30,9 +30,8 @@ def run(command: Sequence[str | Path], folder: Path | None = None) -> Run:
     return Run(seconds, usage.ru_utime, usage.ru_maxrss * 1024)
 
 
-def mclass(*arguments: str | Path, folder: Path | None = None) -> Run:
-    program = Path(sys.executable).with_name("mclass")
-    return run([program, *arguments], folder)
+def mclass(*arguments: str | Path) -> Run:
+    return run([Path(sys.executable).with_name("mclass"), *arguments])
 
 
 def fastest(runs: int, *commands: Sequence[str | Path]) -> list[Run]:
