@@ -91,6 +91,7 @@ def estimate(
     from mclass.parallel import available_threads
     from mclass.pipeline import default_output
     from mclass.pipeline import estimate as estimate_log
+
     if output is None and not in_place:
         output = default_output(log)
     found = estimate_log(
