@@ -29,7 +29,7 @@ from mclass.inference import (
 )
 from mclass.logs.measurements import read_measurements
 from mclass.logs.reader import LogReader
-from mclass.logs.times import find_time_bound
+from mclass.logs.times import find_window
 from mclass.logs.writer import LogWriter
 from mclass.memory import require_memory
 from mclass.model import Model
@@ -108,18 +108,14 @@ def estimate(
             model = find_model(reader.path, reader.attachment(MODEL_FILE_NAME))
         else:
             model = model_of(model)
-        first = reader.start_ns or 0
-        contents = read_measurements(
-            reader,
-            model,
-            None if start is None else find_time_bound(start, first),
-            None if end is None else find_time_bound(end, first),
-        )
+        window = find_window(reader, start, end)
+        contents = read_measurements(reader, model, *window)
         problem = prepare(model, contents.measurements)
         require_memory(problem, len(_cuts(problem, every_s)), threads)
         skipped = _skipped(problem, contents.tally.counts)
         losses = (*reader.damage.losses, *contents.losses)
-        _refuse_nothing(len(problem.used), skipped, losses, reader.path)
+        windowed = window != (None, None)
+        _refuse_nothing(len(problem.used), skipped, losses, reader.path, windowed=windowed)
         input_hash = ""
         if in_place:
             _refuse_second_results(reader, prefix)
@@ -147,7 +143,7 @@ def estimate(
                 )
                 found = _solve(problem, contents.frame, channels, every_s, threads)
                 skipped = {**contents.tally.counts, **found.skipped}
-                _refuse_nothing(found.used, skipped, losses, reader.path)
+                _refuse_nothing(found.used, skipped, losses, reader.path, windowed=windowed)
                 settings = {
                     "preset": model.inference.preset,
                     "start": start,
@@ -230,11 +226,15 @@ def infer(
 
 
 def _refuse_nothing(
-    used: int, skipped: Mapping[str, int], losses: Collection[str], path: Path
+    used: int, skipped: Mapping[str, int], losses: Collection[str], path: Path, *, windowed: bool
 ) -> None:
-    """Refuse a log of whose detections none can be used; one without any is no failure."""
-    if used == 0 and (skipped or losses):
-        reasons = (*(f"{count} {reason}" for reason, count in skipped.items()), *losses)
+    """Refuse a log of whose detections none can be used.
+
+    A whole log without any is no failure; a part of one was asked for because of what is in it.
+    """
+    if used == 0 and (skipped or losses or windowed):
+        reasons = [*(f"{count} {reason}" for reason, count in skipped.items()), *losses]
+        reasons = reasons or ["none lies between the given times"]
         raise LogError(f"no detection can be used: {'; '.join(reasons)}", path=str(path))
 
 

@@ -160,6 +160,24 @@ class TestEstimate:
             ("o3", 1)
         ]
 
+    @pytest.mark.parametrize(
+        ("start", "end", "code", "sentence"),
+        [
+            ("+10s", "+5s", 2, "the end '+5s' is not after the start '+10s'"),
+            ("+10s", "+10s", 2, "nothing lies between"),
+            ("+12s", "+13s", 1, "no detection can be used: none lies between the given times"),
+            ("+2000s", "+2010s", 1, "nothing is logged from +2000s. The log holds"),
+            ("1", "2", 1, "nothing is logged before 2. The log holds"),
+        ],
+    )
+    def test_time_bounds_without_detections(
+        self, start: str, end: str, code: int, sentence: str, tmp_path: Path
+    ) -> None:
+        out = tmp_path / "out.mcap"
+        done = mclass("estimate", CAS_LAB, "-o", out, "-S", start, "-E", end, code=code)
+        assert sentence in done.stderr
+        assert not out.exists()
+
     def test_time_bounds_apart(self, tmp_path: Path) -> None:
         counts = []
         for index, bounds in enumerate([("--start", "+25s"), ("--end", "+25s")]):

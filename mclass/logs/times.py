@@ -6,7 +6,8 @@ import re
 from datetime import datetime, timedelta, timezone
 from decimal import Decimal
 
-from mclass.errors import UsageError
+from mclass.errors import LogError, UsageError
+from mclass.logs.reader import LogReader
 
 _UNITS = {
     "ns": 1,
@@ -25,6 +26,40 @@ _RFC_3339 = re.compile(
 )
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _LATEST_NS = 2**63 - 1
+
+
+def find_window(
+    reader: LogReader, start: str | None, end: str | None
+) -> tuple[int | None, int | None]:
+    """The log times between which messages are wanted.
+
+    Args:
+        reader: The open log.
+        start: Where to begin, as for `find_time_bound`; None for the beginning.
+        end: Before what to stop; None for the end.
+
+    Returns:
+        Log times [ns]: the first, and the one that the last must be before.
+
+    Raises:
+        UsageError: If a bound is no time, or the end is not after the start.
+        LogError: If the log holds no message between them.
+    """
+    first, last = reader.start_ns or 0, reader.end_ns or 0
+    start_ns = None if start is None else find_time_bound(start, first)
+    end_ns = None if end is None else find_time_bound(end, first)
+    if start_ns is not None and end_ns is not None and end_ns <= start_ns:
+        raise UsageError(f"the end {end!r} is not after the start {start!r}: nothing lies between")
+    if (start_ns is not None and start_ns > last) or (end_ns is not None and end_ns <= first):
+        wanted = (
+            f"from {start}" if start is not None and (start_ns or 0) > last else f"before {end}"
+        )
+        raise LogError(
+            f"no detection can be used: nothing is logged {wanted}. The log holds "
+            f"{(last - first) * 1e-9:.3f} s, from {first} to {last} ns.",
+            path=str(reader.path),
+        )
+    return start_ns, end_ns
 
 
 def find_time_bound(text: str, start_ns: int) -> int:
