@@ -20,6 +20,7 @@ _EQUIDISTANT = frozenset({"equidistant", "fisheye", "kannala_brandt", "kannala_b
 _N_BROWN_CONRADY = 12
 _N_EQUIDISTANT = 4
 _NEWTON_STEPS = 30
+_POLE = 1e-12
 # Pixels this many focal lengths from the axis belong to no image.
 _MAX_SLOPE = 1e6
 
@@ -204,6 +205,8 @@ def _distort(
     u, xy = x * x + y * y, x * y
     above = 1 + u * (k1 + u * (k2 + u * k3))
     below = 1 + u * (k4 + u * (k5 + u * k6))
+    # Newton's method may step onto a pole; from next to it, it goes on.
+    below = np.where(np.abs(below) < _POLE, _POLE, below)
     radial = above / below
     slope = (k1 + u * (2 * k2 + 3 * u * k3) - radial * (k4 + u * (2 * k5 + 3 * u * k6))) / below
     off_x = x * radial + 2 * p1 * xy + p2 * (u + 2 * x * x) + u * (s1 + u * s2) - goal[:, 0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mclass import camera, transforms
@@ -100,6 +100,7 @@ def test_pixels_that_no_ray_reaches_are_named() -> None:
 
 
 @settings(max_examples=200)
+@example([0.0, 0.0, 0.0, 0.0, 0.0, -2.9999999999999996], 0.0, 0.5)  # steps onto a pole
 @given(
     st.lists(st.floats(-3, 3), min_size=5, max_size=8), st.floats(-400, 1000), st.floats(-400, 900)
 )

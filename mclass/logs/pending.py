@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import errno
 import os
@@ -58,14 +59,16 @@ class PendingFile:
         stem = f".{self._target.name[:_NAME_CHARACTERS]}.part-"
         self._remove_leftovers(stem)
         name = f"{stem}{os.getpid()}"
+        # An interrupt may strike anywhere, even before the caller's `with` block has begun.
+        atexit.register(self.discard)
         with self._errors():
             for attempt in range(1000):
-                part = self._target.with_name(name + (f"-{attempt}" if attempt else ""))
+                self._part = self._target.with_name(name + (f"-{attempt}" if attempt else ""))
                 try:
-                    self._file = os.open(part, flags, 0o666)
+                    self._file = os.open(self._part, flags, 0o666)
                 except FileExistsError:
+                    self._part = None
                     continue
-                self._part = part
                 take_lock(self._file, wait=True)
                 if os.fstat(self._file).st_nlink:
                     return
@@ -145,6 +148,7 @@ class PendingFile:
             with contextlib.suppress(OSError):
                 os.unlink(self._part)
             self._part = None
+        atexit.unregister(self.discard)
 
     @property
     def _name(self) -> str:
