@@ -5,6 +5,7 @@ Metres, radians and nanoseconds; class axes without the background are (n,), wit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,9 @@ import numpy.typing as npt
 
 from mclass.footprint import Grid
 from mclass.records import FloatArray, IntArray
+
+_FLAT_STD = 0.999 * np.pi / np.sqrt(3.0)
+"""Of a density that is the same all around the circle, but for rounding [rad]."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,16 @@ class ObjectEstimate:
     class_poses: FloatArray
     modes: tuple[OrientationMode, ...]
     joint_map: tuple[int, float, float, float]
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether no class can have returned its labels: each is ruled out by some of them."""
+        return not self.class_probabilities[1:].any() and is_flat(self.modes)
+
+
+def is_flat(modes: Sequence[OrientationMode]) -> bool:
+    """Whether modes are those of a density that tells no orientation from another."""
+    return not modes or (len(modes) == 1 and modes[0].std >= _FLAT_STD)
 
 
 @dataclass(frozen=True)

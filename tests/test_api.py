@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -155,6 +156,20 @@ def test_no_measurements_are_an_empty_estimate() -> None:
     assert found.class_probabilities.shape == (0, 3)
     assert found.positions.shape == (0, 2)
     assert found.maps is None
+
+
+def test_labels_that_no_class_explains() -> None:
+    """Each class returns its own label alone: c1, then c2, is neither."""
+    text = TOY_MODEL.read_text(encoding="utf-8")
+    model = mclass.load_model(TOY_MODEL)
+    for confusion in re.findall(r"^ +c\d: .*covariance: 20}\n", text, re.MULTILINE):
+        text = text.replace(confusion, "")
+    stray = toy(labels=[["c1"], ["c1"], ["c2"]])
+    *before, last = mclass.infer(stray, text).history["o1"]
+    assert last.unexplained
+    assert last.class_probabilities.tolist() == [1.0, 0.0, 0.0]
+    assert not any(step.unexplained for step in before)
+    assert not mclass.infer(stray, model).objects[0].unexplained
 
 
 def test_estimate_from_arrays_is_kept_in_a_log(tmp_path: Path) -> None:

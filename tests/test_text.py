@@ -184,6 +184,23 @@ class TestObjectsText:
             "o1: background (nothing there), P 0.5000, is more probable than any class.",
         ]
 
+    def test_labels_that_no_class_explains(self) -> None:
+        """No class is named, no tie claimed, no orientation made up."""
+        lost = estimate(
+            probabilities=(1.0, 0.0, 0.0), tie=(0, 1), modes=(mode(0.0, 1.0, 360 / 12**0.5),)
+        )
+        lines = objects_text([lost], CLASS_NAMES, "odom", UNICODE).split("\n")
+        assert lines[3].split()[:3] == ["o1", "background", "1.0000"]
+        assert " ".join(lines[3:5]).count("unknown") == 1
+        remark = " ".join(lines[5:])
+        assert "o1: no class explains these labels" in remark
+        assert "equally probable" not in remark
+        assert objects_json([lost], CLASS_NAMES, "odom")["objects"][0]["unexplained"] is True
+        assert "unexplained" not in objects_json([estimate()], CLASS_NAMES, "odom")["objects"][0]
+        text = cell_text(cell(probabilities=(1.0, 0.0, 0.0)), CLASS_NAMES, "odom", UNICODE)
+        assert "No class explains these labels." in text
+        assert "a tie" not in text
+
     def test_no_tie_no_remark(self) -> None:
         assert "=" not in objects_text([estimate()], CLASS_NAMES, "odom", UNICODE)
 
@@ -207,7 +224,10 @@ class TestObjectsText:
         assert lines[7].endswith("+ 2 more (33 %)")
 
     def test_flat_orientation(self) -> None:
-        assert "any (flat)" in objects_text([estimate(modes=())], CLASS_NAMES, "odom", UNICODE)
+        for modes in ((), (mode(0.0, 1.0, 360 / 12**0.5),)):
+            text = objects_text([estimate(modes=modes)], CLASS_NAMES, "odom", UNICODE)
+            assert "any (flat)" in text
+            assert "103.9" not in text
 
     def test_nothing_foreign_controls_the_terminal(self) -> None:
         evil = "\x1b]0;owned\x07\r\n\u202e\ud800"

@@ -36,6 +36,10 @@ class ObjectScene:
 def object_scene(estimate: ObjectEstimate, class_names: tuple[str, ...]) -> ObjectScene:
     """The scene of one object; an arrow is as opaque as its mode is heavy."""
     probabilities = estimate.class_probabilities
+    if estimate.unexplained:
+        text = f"{display_text(estimate.object_id)}\nno class explains its labels"
+        x, y = (float(value) for value in estimate.position)
+        return ObjectScene(x, y, text, class_color(estimate.class_index), ())
     names = " = ".join(class_names[index] for index in estimate.tie or (estimate.class_index,))
     text = f"{display_text(estimate.object_id)}\n{display_text(names)} "
     text += f"{probabilities[1 + estimate.class_index]:.0%}"

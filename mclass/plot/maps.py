@@ -176,7 +176,8 @@ def objects_figure(
         tie = "tie: " if estimate.tie else ""
         text = drawable(estimate.object_id)
         if len(objects) <= _CROWD:
-            text += f"\n{tie}{name} {probability}"
+            outcome = f"{tie}{name} {probability}"
+            text += "\nunexplained" if estimate.unexplained else f"\n{outcome}"
         _draw_object(axes, estimate, limits, size, text=text, color=color, marker=marker)
         handles[name] = Line2D([], [], color=color, marker=marker, linestyle="")
     add_scale_bar(axes, "m", above=True)

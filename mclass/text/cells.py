@@ -8,7 +8,7 @@ import numpy as np
 
 from mclass.classes import BACKGROUND
 from mclass.records import FloatArray
-from mclass.results import CellReport, ObjectEstimate, OrientationMode
+from mclass.results import CellReport, ObjectEstimate, OrientationMode, is_flat
 from mclass.text.terminal import Terminal, table, wrap
 from mclass.text.values import (
     count_text,
@@ -90,7 +90,9 @@ def _probability_bars(report: CellReport, names: Sequence[str], terminal: Termin
         rows.append([f"+ {len(hidden)} more", probability_text(rest), terminal.bar(rest, 40)])
     lines = table(["class", "P", ""], rows, "<><", terminal, elastic=(0,))
     tied = _tied_classes(probabilities)
-    if tied:
+    if not probabilities[1:].any():
+        lines.append(terminal.paint("No class explains these labels.", "warning"))
+    elif tied:
         sentence = f"{list_text([names[i] for i in tied])} are equally probable, a tie."
         lines += [terminal.paint(line, "warning") for line in wrap(sentence, terminal, "  ")]
     return lines
@@ -205,7 +207,7 @@ def _orientation_summary(step: ObjectEstimate | CellReport) -> str:
         modes = step.modes
     else:
         modes = step.modes[int(step.class_probabilities[1:].argmax())]
-    if not modes:
+    if is_flat(modes):
         return "any (flat)"
     shown = in_reading_order(modes)[:2]
     parts = [f"{degrees_text(mode.orientation)} ({share_text(mode.mass)})" for mode in shown]

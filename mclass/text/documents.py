@@ -68,6 +68,8 @@ def object_json(estimate: ObjectEstimate, class_names: Sequence[str]) -> JsonObj
     }
     if estimate.tie:
         document["tie"] = [class_names[index] for index in estimate.tie]
+    if estimate.unexplained:
+        document["unexplained"] = True
     return document
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from mclass.classes import BACKGROUND
 from mclass.records import FloatArray
-from mclass.results import ObjectEstimate, OrientationMode
+from mclass.results import ObjectEstimate, OrientationMode, is_flat
 from mclass.text.terminal import Terminal, display_width, table, wrap
 from mclass.text.values import (
     count_text,
@@ -78,6 +78,8 @@ def _object_cells(
         f"{axis} {spread_text(value, std, 2, terminal)}"
         for axis, value, std in zip("xy", estimate.position, estimate.position_std, strict=True)
     )
+    if estimate.unexplained:
+        return BACKGROUND, probability_text(1.0), place, "unknown", str(estimate.measurements)
     modes = _mode_lines(estimate.modes, terminal)
     return labels, values, place, modes, str(estimate.measurements)
 
@@ -101,7 +103,7 @@ def _class_lines(
 
 def _mode_lines(modes: Sequence[OrientationMode], terminal: Terminal) -> str:
     """One mode a line, heaviest first; those that hold next to nothing are counted."""
-    if not modes:
+    if is_flat(modes):
         return "any (flat)"
     ordered = in_reading_order(modes)
     shown = [mode for mode in ordered[:_LISTED_MODES] if mode.mass >= _NEGLIGIBLE] or ordered[:1]
@@ -115,6 +117,13 @@ def _mode_lines(modes: Sequence[OrientationMode], terminal: Terminal) -> str:
 def _remarks(estimate: ObjectEstimate, names: Sequence[str], terminal: Terminal) -> Iterable[str]:
     """Sentences on what the named class does not tell."""
     who = terminal.clean(estimate.object_id, 2 * _ID_COLUMNS)
+    if estimate.unexplained:
+        yield (
+            f"{who}: no class explains these labels: each class is ruled out by at least one of "
+            "them (--history of `mclass inspect objects` shows by which). Give the classes a "
+            "clutter for it, or use the preset robust."
+        )
+        return
     if estimate.tie:
         tied = list_text([names[index] for index in estimate.tie])
         yield (
