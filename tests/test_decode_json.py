@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mclass.errors import LogError
-from mclass.logs.decode import ChannelDecoder, Columns
+from mclass.logs.decode import Columns, decoder_for
 from mclass.logs.reader import ChannelInfo
 
 STAMP = {"type": "object", "properties": {"nsec": {"type": "integer"}, "sec": {"type": "integer"}}}
@@ -47,14 +47,14 @@ def json_channel(schema: Any = None, encoding: str = "jsonschema") -> ChannelInf
 
 
 def decode(source: ChannelInfo, messages: list[Any], *paths: str) -> Columns:
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     made = batch(source, [json.dumps(message).encode() for message in messages])
     decoder.learn(made)
     return decoder.columns(made, paths)
 
 
 def test_paths_of_a_schema() -> None:
-    paths = ChannelDecoder.for_channel(json_channel(SCHEMA)).paths
+    paths = decoder_for(json_channel(SCHEMA)).paths
     own = {path: kind for path, kind in paths.items() if not path.startswith("parent.")}
     assert own == {
         "stamp": "time",
@@ -140,7 +140,7 @@ def test_learns_paths_from_messages(schema: str) -> None:
         {"id": "seven", "boxes": [{"x": 2.5, "labels": [["a"], []]}], "a.b": 1, "c[]": 2, "": 3},
     ]
     made = batch(source, [json.dumps(message).encode() for message in messages])
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     assert decoder.paths == {}
     decoder.learn(made)
     assert decoder.paths == {
@@ -162,7 +162,7 @@ def test_learns_paths_from_messages(schema: str) -> None:
 
 def test_learned_integers_may_turn_out_fractions() -> None:
     source = json_channel()
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     decoder.learn(batch(source, [b'{"x": 1}']))
     later = decoder.columns(batch(source, [b'{"x": 2}', b'{"x": 2.5}']), ["x"])
     assert later.values["x"].values.tolist() == [2.0, 2.5]
@@ -206,7 +206,7 @@ def test_empty_lists_are_empty_columns() -> None:
 def test_leaves_out_what_contradicts_the_schema(message: bytes, reason: str) -> None:
     source = json_channel(SCHEMA)
     good = b'{"count": 5, "boxes": [{"x": 2}]}'
-    columns = ChannelDecoder.for_channel(source).columns(
+    columns = decoder_for(source).columns(
         batch(source, [good, message, good]), ["count", "boxes[].x", "frame", "image", "valid"]
     )
     assert columns.rows.tolist() == [0, 2]
@@ -228,7 +228,7 @@ def test_leaves_out_what_is_no_time(date: Any) -> None:
 def test_half_characters_do_not_get_through() -> None:
     source = json_channel(SCHEMA)
     made = batch(source, [b'{"frame": "\\ud83d\\ude00 \\ud83d!"}'])
-    columns = ChannelDecoder.for_channel(source).columns(made, ["frame"])
+    columns = decoder_for(source).columns(made, ["frame"])
     assert columns.values["frame"].values.tolist() == ["\U0001f600 \ufffd!"]
 
 
@@ -240,7 +240,7 @@ def test_schemas_that_unfold_without_end_are_refused() -> None:
         for level in range(40)
     }
     with pytest.raises(LogError, match="/topic: the schema has more than"):
-        ChannelDecoder.for_channel(json_channel({"$ref": "#/$defs/L0", "$defs": levels}))
+        decoder_for(json_channel({"$ref": "#/$defs/L0", "$defs": levels}))
 
 
 def test_unknown_path_is_the_callers_mistake() -> None:
@@ -262,7 +262,7 @@ _VALUES = st.recursive(
 @given(st.lists(_VALUES, max_size=4))
 def test_anything_is_decoded_or_counted(messages: list[Any]) -> None:
     source = json_channel()
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     made = batch(source, [json.dumps(message).encode() for message in messages])
     decoder.learn(made)
     columns = decoder.columns(made, list(decoder.paths))

@@ -25,7 +25,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mclass.errors import LogError
-from mclass.logs.decode import ChannelDecoder
+from mclass.logs.decode import decoder_for
 from mclass.logs.reader import ChannelInfo
 
 F = FieldDescriptorProto
@@ -194,7 +194,7 @@ def test_random_messages_as_google_reads_them(
     case: tuple[ChannelInfo, list[Any], list[bytes]],
 ) -> None:
     source, messages, payloads = case
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     columns = decoder.columns(batch(source, payloads), list(decoder.paths))
     assert columns.failures == {}
     assert_columns(columns.values, messages, decoder.paths)
@@ -206,7 +206,7 @@ def test_damaged_messages_read_alike_alone_and_together(
     case: tuple[ChannelInfo, list[Any], list[bytes]], data: st.DataObject
 ) -> None:
     source, _, payloads = case
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     paths = list(decoder.paths)
     damaged = []
     for payload in payloads:
@@ -233,7 +233,7 @@ def test_foxglove_messages() -> None:
         pose.pose.orientation.w = 1.0
         poses.append(pose)
     source = proto_channel(PoseInFrame)
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     assert dict(decoder.paths) == {
         "timestamp": "time",
         "frame_id": "string",
@@ -252,7 +252,7 @@ def test_levels_of_nested_messages() -> None:
         for key, value in pairs:
             text.metadata.add(key=key, value=value)
     source = proto_channel(ImageAnnotations)
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     made = batch(source, [b"", annotations.SerializeToString()])
     columns = decoder.columns(made, ["texts[].text", "texts[].metadata[].value"])
     assert nested(columns.values["texts[].text"]) == [[], ["door", "box"]]
@@ -295,7 +295,7 @@ def test_defaults_of_fields_left_out() -> None:
         one(F.TYPE_ENUM, 7, type_name=".hand.Choice"),
         one(F.TYPE_UINT64, 8),
     )
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     columns = decoder.columns(batch(source, [b""]), list(decoder.paths))
     assert [column.values.tolist() for column in columns.values.values()] == [
         [-math.inf],
@@ -317,14 +317,14 @@ def test_maps_groups_and_messages_in_themselves_are_left_out() -> None:
         many(F.TYPE_MESSAGE, 3, type_name=".hand.Root"),
         one(F.TYPE_INT32, 4),
     )
-    assert dict(ChannelDecoder.for_channel(source).paths) == {"f4": "int"}
+    assert dict(decoder_for(source).paths) == {"f4": "int"}
 
 
 def test_unknown_fields_and_foreign_wire_types_are_skipped() -> None:
     source = hand_channel("proto3", one(F.TYPE_INT32, 1), many(F.TYPE_FLOAT, 2))
     # Field 1 as a varint 5 and as eight bytes, field 2 as a varint, field 99 as a string.
     payload = b"\x08\x05" + b"\x09" + bytes(8) + b"\x10\x01" + b"\x9a\x06\x02hi"
-    columns = ChannelDecoder.for_channel(source).columns(batch(source, [payload]), ["f1", "f2[]"])
+    columns = decoder_for(source).columns(batch(source, [payload]), ["f1", "f2[]"])
     assert columns.failures == {}
     assert nested(columns.values["f1"]) == [5]
     assert nested(columns.values["f2[]"]) == [[]]
@@ -367,7 +367,7 @@ def test_lying_payloads_are_left_out(payload: bytes, reason: str, others: int) -
         many(F.TYPE_UINT32, 5),
     )
     good = b"\x08\x96\x01\x12\x02hi\x1a\x02\x08\x01\x2a\x03\x01\x96\x01"
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     made = batch(source, [good] * others + [payload, good])
     columns = decoder.columns(made, list(decoder.paths))
     assert columns.rows.tolist() == [*range(others), others + 1]
@@ -385,7 +385,7 @@ def test_a_hundred_thousand_elements_in_one_message() -> None:
         annotations.circles.add(thickness=number)
     source = proto_channel(ImageAnnotations)
     made = batch(source, [annotations.SerializeToString()])
-    columns = ChannelDecoder.for_channel(source).columns(made, ["circles[].thickness"])
+    columns = decoder_for(source).columns(made, ["circles[].thickness"])
     assert np.array_equal(columns.values["circles[].thickness"].values, np.arange(100_000.0))
 
 
@@ -423,7 +423,7 @@ def _doubling(levels: int) -> FileDescriptorSet:
 )
 def test_unusable_schemas_are_refused(schema: bytes, message: str) -> None:
     with pytest.raises(LogError, match=message) as caught:
-        ChannelDecoder.for_channel(channel("protobuf", "hand.Root", schema, "protobuf"))
+        decoder_for(channel("protobuf", "hand.Root", schema, "protobuf"))
     assert caught.value.topic == "/topic"
 
 
@@ -450,6 +450,6 @@ def test_varints_wider_than_their_field_are_cut_as_google_cuts_them(bits: int) -
     varint = bytes(digit | 0x80 for digit in digits[:-1]) + bytes(digits[-1:])
     payload = b"".join(bytes([number << 3]) + varint for number in range(1, len(VARINTS) + 1))
     source = proto_channel(google)
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     columns = decoder.columns(batch(source, [payload]), list(decoder.paths))
     assert_columns(columns.values, [google.FromString(payload)], decoder.paths)

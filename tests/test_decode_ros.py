@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mclass.errors import LogError
-from mclass.logs.decode import ChannelDecoder, Columns
+from mclass.logs.decode import Columns, decoder_for
 from mclass.logs.reader import ChannelInfo
 
 SEPARATOR = "=" * 80
@@ -158,7 +158,7 @@ def test_random_messages_as_rosbags_wrote_them(
     case: tuple[ChannelInfo, list[Any], list[bytes]],
 ) -> None:
     source, messages, payloads = case
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     columns = decoder.columns(batch(source, payloads), list(decoder.paths))
     assert columns.failures == {}
     assert columns.rows.tolist() == list(range(len(messages)))
@@ -171,7 +171,7 @@ def test_cut_messages_are_left_out(
     case: tuple[ChannelInfo, list[Any], list[bytes]], data: st.DataObject
 ) -> None:
     source, messages, payloads = case
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     bad = data.draw(st.sets(st.integers(0, len(payloads) - 1)))
     damaged = [
         payload[: data.draw(st.integers(0, len(payload) - 1))] if index in bad else payload
@@ -190,7 +190,7 @@ def test_damaged_messages_read_alike_alone_and_together(
     case: tuple[ChannelInfo, list[Any], list[bytes]], data: st.DataObject
 ) -> None:
     source, _, payloads = case
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     paths = list(decoder.paths)
     damaged = []
     for payload in payloads:
@@ -229,7 +229,7 @@ def test_padding_within_and_between_elements(repeats: int) -> None:
         encoder.build(root, (outers[:count], inners[:count], inners[1:]), encoder.name)
         for count in (7, 0, 1, 3) * repeats
     ]
-    decoder = ChannelDecoder.for_channel(encoder.channel)
+    decoder = decoder_for(encoder.channel)
     made = batch(encoder.channel, [encoder.encode(message) for message in messages])
     columns = decoder.columns(made, list(decoder.paths))
     assert columns.failures == {}
@@ -258,7 +258,7 @@ def test_real_messages_as_rosbags_wrote_them() -> None:
     name = "nav_msgs/msg/Odometry"
     schema, _ = ROS2.generate_msgdef(name, ros_version=2)
     source = channel("cdr", name, schema, "ros2msg")
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     payload = bytes(ROS2.serialize_cdr(odometry, name))
     columns = decoder.columns(batch(source, [payload, payload]), list(decoder.paths))
     assert columns.values["header.stamp"].values.tolist() == [1700000000123456789] * 2
@@ -292,7 +292,7 @@ LITTLE = (
 
 def layout_columns(*payloads: bytes) -> Columns:
     source = channel("cdr", "pkg/msg/Root", LAYOUT, "ros2msg")
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     assert dict(decoder.paths) == {
         "flags": "bool",
         "name": "string",
@@ -367,7 +367,7 @@ def test_no_messages_are_empty_columns() -> None:
 
 def test_only_what_is_wanted_is_returned() -> None:
     source = channel("cdr", "pkg/msg/Root", LAYOUT, "ros2msg")
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     columns = decoder.columns(batch(source, [LITTLE]), ["last", "items[].tag", "last"])
     assert set(columns.values) == {"last", "items[].tag"}
     with pytest.raises(KeyError, match="lost"):
@@ -383,7 +383,7 @@ def test_a_hundred_thousand_elements_in_one_message() -> None:
         for number in range(count)
     )
     payload = struct.pack("<I", count) + items
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     columns = decoder.columns(batch(source, [payload, bytes(4)]), list(decoder.paths))
     assert columns.values["items[].number"].values.tolist() == list(range(count))
     assert columns.values["items[].text"].values[:4].tolist() == ["", "a", "ab", ""]
@@ -394,7 +394,7 @@ def test_long_number_lists_keep_their_width() -> None:
     source = channel("ros1", "pkg/Root", "uint8[] data\nduration[] waits", "ros1msg")
     data = bytes(range(256)) * 4
     payload = struct.pack("<I", len(data)) + data + struct.pack("<Iii", 1, -2, 5)
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     columns = decoder.columns(batch(source, [payload]), ["data[]", "waits[]"])
     assert columns.values["data[]"].values.dtype == np.uint8
     assert columns.values["data[]"].values.tobytes() == data
@@ -404,7 +404,7 @@ def test_long_number_lists_keep_their_width() -> None:
 def test_elements_without_bytes_cannot_be_claimed_without_end() -> None:
     schema = f"Empty[] items\n{SEPARATOR}\nMSG: pkg/Empty\n"
     source = channel("ros1", "pkg/Root", f"{schema}{SEPARATOR}\nMSG: pkg/X\nint8 a", "ros1msg")
-    decoder = ChannelDecoder.for_channel(source)
+    decoder = decoder_for(source)
     columns = decoder.columns(batch(source, [b"\xff\xff\xff\xff", bytes(4)]), [])
     assert columns.rows.tolist() == [1]
     assert columns.failures == {"a sequence is longer than its message": 1}
@@ -437,6 +437,6 @@ def test_unusable_channels_are_refused(
     encoding: str, schema: bytes | str, schema_encoding: str, message: str
 ) -> None:
     with pytest.raises(LogError, match=message) as caught:
-        ChannelDecoder.for_channel(channel(encoding, "p/msg/Root", schema, schema_encoding))
+        decoder_for(channel(encoding, "p/msg/Root", schema, schema_encoding))
     assert caught.value.topic == "/topic"
     assert str(caught.value).startswith("topic /topic: ")

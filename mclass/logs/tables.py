@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mclass.errors import LogError
-from mclass.logs.decode.base import ChannelDecoder, Column
+from mclass.logs.decode import ChannelDecoder, Column, decoder_for
 from mclass.logs.reader import ChannelInfo, LogReader, MessageBatch
 from mclass.records import FloatArray, IntArray
 
@@ -138,7 +138,7 @@ class Decoders:
             LogError: If the channel's encoding or schema cannot be used.
         """
         if channel.id not in self._known:
-            self._known[channel.id] = ChannelDecoder.for_channel(channel)
+            self._known[channel.id] = decoder_for(channel)
             if not self._known[channel.id].paths:
                 self._schemaless.add(channel.id)
                 self._learn_more(channel)

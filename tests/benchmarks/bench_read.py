@@ -11,7 +11,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mclass.config.model_file import parse_model
-from mclass.logs.decode.base import ChannelDecoder
+from mclass.logs.decode import decoder_for
 from mclass.logs.measurements import read_measurements
 from mclass.logs.reader import LogReader
 
@@ -82,7 +82,7 @@ def _compare(
     def ours() -> None:
         with LogReader.open(path) as reader:
             (channel,) = (channel for channel in reader.channels if channel.topic == topic)
-            decoder = ChannelDecoder.for_channel(channel)
+            decoder = decoder_for(channel)
             read = sum(
                 len(decoder.columns(batch, paths).rows) for batch in reader.batches([channel.id])
             )

@@ -20,7 +20,7 @@ from mclass.cells import stored_report
 from mclass.checks import find_violations
 from mclass.config.model_file import parse_model
 from mclass.errors import ConfigError, LogError, UsageError
-from mclass.logs.decode import ChannelDecoder, Column, Columns
+from mclass.logs.decode import ChannelDecoder, Column, Columns, decoder_for
 from mclass.logs.decode import json as _json
 from mclass.logs.decode import protobuf as _protobuf
 from mclass.logs.decode import ros as _ros
@@ -294,9 +294,9 @@ def _check_decoding(channel: ChannelInfo, messages: Sequence[bytes]) -> None:
 def _decoder(channel: ChannelInfo) -> ChannelDecoder:
     """Decoder of a channel; where schemas say all, those of the samples are made once."""
     if channel.message_encoding == "json" or channel.schema_name == "pkg/Root":
-        return ChannelDecoder.for_channel(channel)
+        return decoder_for(channel)
     if channel.schema_name not in _known_decoders:
-        _known_decoders[channel.schema_name] = ChannelDecoder.for_channel(channel)
+        _known_decoders[channel.schema_name] = decoder_for(channel)
     return _known_decoders[channel.schema_name]
 
 

@@ -254,7 +254,8 @@ class _Builder:
         self.leaves = []
 
     def build(self) -> Struct:
-        if any(self.sizes) or not self.runs:
+        # A last field can be an array of nothing: it takes no bytes, but is there.
+        if any(self.sizes) or self.leaves or not self.runs:
             self.finish(None, 0, counted=False)
         # Elements that take no bytes at all could be claimed without end, so they count as one.
         return Struct(tuple(self.runs), min(max(self.tail_min_size, 1), MAX_SIZE))
