@@ -153,7 +153,15 @@ def estimate(
                 }
                 log_time_ns = reader.end_ns or 0
                 input_hash = f"sha256:{digest.result()}"
-                channels.write_header(log_time_ns, input_hash=input_hash, settings=settings)
+                account = {
+                    "used": found.used,
+                    "skipped": skipped,
+                    "notes": (*contents.notes, *reader.damage.remarks),
+                    "damage": losses,
+                }
+                channels.write_header(
+                    log_time_ns, input_hash=input_hash, settings=settings, account=account
+                )
                 channels.write_layout(log_time_ns)
         return replace(
             found,
@@ -220,6 +228,7 @@ def infer(
             channels.write_header(
                 log_time_ns,
                 settings={"preset": model.inference.preset, "every_s": every_s, **(settings or {})},
+                account={"used": found.used, "skipped": found.skipped},
             )
             channels.write_layout(log_time_ns)
     return replace(found, output=None if output is None else Path(output))

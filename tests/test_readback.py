@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -424,3 +426,38 @@ def test_a_cell_on_a_border_belongs_to_the_cell_above_and_right(tmp_path: Path) 
     with OutputLog.open(tmp_path / "out.mcap") as output:
         assert output.belief_at(0.5, 2.5).cells.tolist() == [9]
         assert Grid((-1.0, 2.0), 0.5, 4, 6).cell_at(0.5, 2.5) == 9
+
+
+@pytest.mark.parametrize(
+    ("most", "expected"), [(1, [9]), (3, [3, 6, 9]), (10, list(range(10))), (99, list(range(10)))]
+)
+def test_maps_over_time_are_evenly_chosen(most: int, expected: list[int], tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "out.mcap", profile="ros2") as writer:
+        channels = OutputChannels(writer, "ros2", "odom", model())
+        channels.write_header(0)
+        for index in range(10):
+            channels.write_maps(replace(maps(), stamp_ns=index, log_time_ns=index))
+    with OutputLog.open(tmp_path / "out.mcap") as output:
+        assert [found.stamp_ns for found in output.maps_over_time(most)] == expected
+
+
+def test_every_block_of_every_belief_is_read(written: Path) -> None:
+    with OutputLog.open(written) as output:
+        found = list(output.beliefs())
+    expected = [*belief(), *belief("o1", 1, 0.5)]
+    assert len(found) == len(expected)
+    for actual, block in zip(found, expected, strict=True):
+        assert_same(actual, block)
+
+
+def test_account_of_the_input_is_recorded(tmp_path: Path) -> None:
+    account = {"used": 3, "skipped": {"no pose": 2}, "notes": ("poses: /odom",), "damage": ()}
+    with LogWriter(tmp_path / "out.mcap", profile="ros2") as writer:
+        OutputChannels(writer, "ros2", "odom", model()).write_header(0, account=account)
+    with OutputLog.open(tmp_path / "out.mcap") as output:
+        assert json.loads(output.metadata["account"]) == {
+            "used": 3,
+            "skipped": {"no pose": 2},
+            "notes": ["poses: /odom"],
+            "damage": [],
+        }

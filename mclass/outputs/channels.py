@@ -79,6 +79,7 @@ class OutputChannels:
         *,
         input_hash: str = "",
         settings: Mapping[str, Any] | None = None,
+        account: Mapping[str, Any] | None = None,
     ) -> None:
         """Say how the output came about: a metadata record, and the model file attached.
 
@@ -86,6 +87,8 @@ class OutputChannels:
             log_time_ns: Log time of the attachment [ns].
             input_hash: Of the input log; empty when not computed.
             settings: Whatever else the results depend on, as JSON can hold it.
+            account: What became of the input, as JSON can hold it: detections ``used`` and
+                ``skipped`` by reason, ``notes`` on what was chosen, sentences on ``damage``.
         """
         classes, source = self._model.classes, self._model.source.encode("utf-8", "replace")
         self._writer.add_metadata(
@@ -100,6 +103,7 @@ class OutputChannels:
                 "frame": self._context.frame,
                 "prefix": self._context.prefix,
                 "classes": json.dumps(classes.class_names),
+                "account": json.dumps(account or {}, sort_keys=True),
             },
         )
         self._writer.attach(MODEL_ATTACHMENT, "application/yaml", source, log_time_ns)

@@ -176,6 +176,29 @@ class OutputLog:
                 return self._checked(_maps_from, self._decode(channel, payload), self, log_time_ns)
         raise LogError("the output holds no class map", path=self._path)
 
+    def maps_over_time(self, most: int) -> tuple[ClassMaps, ...]:
+        """Class maps oldest first: all of them, or so many evenly chosen, the last among them.
+
+        Args:
+            most: How many at most, 1 or more.
+        """
+        channel = self._channels["grid"]
+        count = sum(1 for _ in self._payloads(channel))
+        # Counted from the last map backwards, so that this is always one of them.
+        shown = min(most, count)
+        chosen = {count - 1 - index * count // shown for index in range(shown)}
+        return tuple(
+            self._checked(_maps_from, self._decode(channel, payload), self, log_time_ns)
+            for index, (log_time_ns, payload) in enumerate(self._payloads(channel))
+            if index in chosen
+        )
+
+    def beliefs(self) -> Iterator[BeliefBlock]:
+        """Every block of every belief, of the grid and of objects, in file order."""
+        channel = self._channels["belief"]
+        for _, payload in self._payloads(channel):
+            yield self._checked(belief_from, self._decode(channel, payload), self.class_names)
+
     def belief(self, object_id: str = "") -> tuple[BeliefBlock, ...]:
         """All blocks of the latest belief, in order.
 
