@@ -18,7 +18,9 @@ _SMALL_ANGLE = 1e-4
 
 def wrap_angle(angles: npt.ArrayLike) -> FloatArray:
     """Angles [rad] brought to (-pi, pi], same shape."""
-    return np.asarray(np.pi - np.remainder(np.pi - np.asarray(angles, dtype=float), 2.0 * np.pi))
+    wrapped = np.pi - np.remainder(np.pi - np.asarray(angles, dtype=float), 2.0 * np.pi)
+    # A remainder next to a full turn rounds to -pi.
+    return np.where(wrapped <= -np.pi, np.pi, wrapped)
 
 
 def rotate(headings: npt.ArrayLike, points: FloatArray) -> FloatArray:

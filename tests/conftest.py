@@ -11,8 +11,8 @@ from mclass.classes import ClassModel
 from mclass.footprint import Grid
 
 # The same examples in every run; `--hypothesis-profile=explore` looks for new ones.
-settings.register_profile("same", derandomize=True)
-settings.register_profile("explore", max_examples=1000)
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.register_profile("explore", max_examples=1000, deadline=None)
 settings.load_profile("same")
 
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from oracle import TURN, rotation
@@ -168,6 +168,7 @@ def test_far_from_the_origin_nothing_is_lost() -> None:
 
 
 @given(angles(), st.integers(-5, 5))
+@example(-3.1415926535897927, 1)
 def test_wrap_angle_range(angle: float, turns: int) -> None:
     value = float(wrap_angle(angle + TURN * turns))
     assert -math.pi < value <= math.pi
