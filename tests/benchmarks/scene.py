@@ -87,7 +87,7 @@ def field(classes: int, bins: int, count: int) -> tuple[Model, LabelMeasurements
     generator = np.random.default_rng(1)
     angle = generator.uniform(0.0, 2.0 * np.pi, count)
     center = np.array([1.5, 0.75])
-    around = np.stack([1.9 * np.cos(angle), 1.6 * np.sin(angle)], axis=-1)
+    around = np.stack([2.0 * np.cos(angle), 1.7 * np.sin(angle)], axis=-1)
     positions = center + around * generator.uniform(1.0, 1.15, count)[:, None]
     return model, measurements(model, positions, center, 3.0)
 
