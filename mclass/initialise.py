@@ -33,6 +33,7 @@ def template_for(log: Path) -> str:
             sensor_frame=sensor.frame if sensor else "",
             label_counts=found.labels,
             label_names=found.label_names,
+            together=found.together,
             notes=(*found.notes, *([found.problem] if found.problem else [])),
         )
     )

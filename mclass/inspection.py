@@ -15,7 +15,7 @@ from mclass.logs.reader import LogReader
 from mclass.logs.survey import Survey, survey
 from mclass.outputs.readback import OutputLog
 from mclass.results import CellReport
-from mclass.text.logs import LogFacts
+from mclass.text.logs import LogFacts, Verification
 
 
 def look_over(log: Path, model_path: Path | None, *, verify: bool) -> tuple[LogFacts, Survey]:
@@ -29,7 +29,8 @@ def look_over(log: Path, model_path: Path | None, *, verify: bool) -> tuple[LogF
         elif attached is not None:
             model = parse_model(attached, f"{log.name}#{MODEL_FILE_NAME}")
         found = survey(reader, model)
-        problems = reader.verify() if verify else ()
+        verification = _verified(reader) if verify else None
+        problems = verification.problems if verification else ()
         unreadable = undecoded(found.unreadable)
         facts = LogFacts(
             path=str(log),
@@ -44,8 +45,22 @@ def look_over(log: Path, model_path: Path | None, *, verify: bool) -> tuple[LogF
                 *unreadable,
             ),
             remarks=reader.damage.remarks,
+            verification=verification,
         )
     return facts, found
+
+
+def _verified(reader: LogReader) -> Verification:
+    """Check every byte of a log."""
+    problems = reader.verify()
+    return Verification(
+        bytes=reader.size,
+        chunks=len(reader.index.chunks),
+        messages=reader.message_count or 0,
+        attachments=len(reader.attachments),
+        data_checksum=bool(reader.index.data_crc),
+        problems=problems,
+    )
 
 
 @dataclass(frozen=True)

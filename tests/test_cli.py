@@ -56,6 +56,15 @@ def assert_like(value: Any, pattern: Any, where: str = "") -> None:
         assert type(value) is pattern, f"{where}: {value!r} is no {pattern.__name__}"
 
 
+def messages_in(log: Path) -> int:
+    """As its own statistics say."""
+    with log.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    return summary.statistics.message_count
+
+
 def degrees(value: Any) -> bool:
     return isinstance(value, float) and 0.0 <= value < 360.0
 
@@ -420,6 +429,21 @@ class TestInspectLog:
         log.write_bytes(data)
         stdout = mclass("inspect", "log", log, "--verify", "-c", MODEL, code=3).stdout
         assert "damaged" in stdout
+        assert re.search(r"\d problems?, as said below", " ".join(stdout.split()))
+        assert "nothing is wrong" not in stdout
+
+    def test_verify_says_what_was_checked(self) -> None:
+        stdout = " ".join(mclass("inspect", "log", CAS_LAB, "--verify").stdout.split())
+        size, messages = CAS_LAB.stat().st_size, messages_in(CAS_LAB)
+        assert f"verified {size:,} bytes, {messages:,} messages in" in stdout
+        assert "checksums, message indexes and times: nothing is wrong" in stdout
+        for options, verified in (((), False), (("--verify",), True)):
+            command = ("inspect", "log", CAS_LAB, "--format", "json", *options)
+            found = mclass(*command).document["verified"]
+            assert (found is not None) == verified
+        assert_like(found, {"bytes": int, "chunks": int, "messages": int, "data_checksum": bool})
+        assert (found["messages"], found["attachments"]) == (messages, 2)
+        assert found["problems"] == []
 
 
 class TestInspectObjects:

@@ -226,18 +226,22 @@ def test_template_of_a_log() -> None:
         frame="odom",
         label_counts={"0": 5, "robot parts": 100, "no": 3, "background": 1, "a\nb": 2, "": 1},
         label_names={"0": "books"},
-        together=(("0", "no"), ("no", "0"), ("0", "0")),
+        together=(("0", "no", 1), ("robot parts", "books", 0), ("0", "0", 4)),
         notes=("two lines\nclasses: {}",),
     )
     text = model_template(facts)
     model = parse_model(text, "m")
     assert model.classes.class_names == ("robot parts", "books", "no")
-    assert set(model.classes.likelihoods) == {(0, 0), (1, 1), (1, 2), (2, 1), (2, 2)}
+    assert set(model.classes.likelihoods) == {
+        *((0, 0), (0, 1), (1, 0), (1, 1), (1, 2), (2, 1), (2, 2))
+    }
     assert model.log.odometry == facts.odometry
     assert model.log.detections == facts.detections
     assert model.log.camera_info == "/info"
     assert model.log.labels == {"0": "books", "robot parts": "robot parts", "no": "no"}
     assert '"no":  # seen 3 times' in text
+    assert "clutter: 0.005}  # once" in text
+    assert '"a\\nb"' not in text
     assert max(len(line) for line in text.splitlines()) <= 100
 
 
@@ -287,7 +291,7 @@ _TEXT = st.text(max_size=20) | st.sampled_from(
         sensor_frame=_TEXT,
         label_counts=st.dictionaries(_TEXT, st.integers(1, 9), max_size=5),
         label_names=st.dictionaries(_TEXT, _TEXT, max_size=3),
-        together=st.lists(st.tuples(_TEXT, _TEXT), max_size=3).map(tuple),
+        together=st.lists(st.tuples(_TEXT, _TEXT, st.integers(0, 9)), max_size=3).map(tuple),
         notes=st.lists(_TEXT, max_size=2).map(tuple),
     )
 )

@@ -21,7 +21,9 @@ from scene_logs import (
     xyzw,
 )
 
+from mclass.config.model_file import parse_model
 from mclass.errors import UsageError
+from mclass.initialise import template_for
 from mclass.logs.reader import LogReader
 from mclass.logs.survey import ChannelUse, Survey, survey
 from mclass.logs.times import find_time_bound
@@ -95,6 +97,36 @@ def test_every_channel_has_a_use_and_a_reason(log: SceneLog) -> None:
     assert (sensor.frame, sensor.camera_topic) == ("camera", "/camera/camera_info")
     assert (sensor.image_size, sensor.calibrated, sensor.placed) == ((640, 480), True, True)
     assert found.problem == ""
+
+
+def test_labels_returned_together_are_counted(log: SceneLog) -> None:
+    """In one detection, or under one id in one look; a label repeated counts once."""
+    standing_robot(log)
+    log.detections(0.1, [detection({"cup": 0.9, "jug": 0.8}), detection({"pan": 0.9})])
+    log.detections(
+        0.2, [detection({"cup": 0.9}, identity="a"), detection({"jug": 1}, identity="a")]
+    )
+    log.detections(
+        0.3, [detection({"cup": 0.9}, identity="a"), detection({"pan": 1}, identity="b")]
+    )
+    log.detections(
+        0.4, [detection({"pan": 0.9}, identity="a"), detection({"cup": 1}, identity="a")]
+    )
+    log.detections(
+        0.5, [detection({"cup": 0.9}, identity="a"), detection({"cup": 1}, identity="a")]
+    )
+    path = log.close()
+    assert look_through(path).together == (("cup", "jug", 2), ("cup", "pan", 1))
+    text = template_for(path)
+    classes = parse_model(text, "m").classes
+    names = classes.class_names
+    returned = {(names[owner], classes.label_names[label]) for owner, label in classes.likelihoods}
+    assert {pair for pair in returned if pair[0] != pair[1]} == {
+        *(("cup", "jug"), ("jug", "cup"), ("cup", "pan"), ("pan", "cup"))
+    }
+    assert "# 2 times" in text
+    assert "# once" in text
+    assert "1 times" not in text
 
 
 def test_transforms_as_poses(log: SceneLog) -> None:

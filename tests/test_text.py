@@ -6,6 +6,7 @@ import dataclasses
 import io
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -204,6 +205,16 @@ class TestObjectsText:
     def test_no_tie_no_remark(self) -> None:
         assert "=" not in objects_text([estimate()], CLASS_NAMES, "odom", UNICODE)
 
+    def test_objects_come_in_natural_order(self) -> None:
+        ids = ["o10", "b", "o2", "o1", "o02", "9" * 5000]
+        objects = [estimate(name) for name in ids]
+        document = objects_json(objects, CLASS_NAMES, "odom")
+        order = ["9" * 5000, "b", "o1", "o02", "o2", "o10"]
+        assert [entry["id"] for entry in document["objects"]] == order
+        text = objects_text(objects, CLASS_NAMES, "odom", UNICODE)
+        shown = re.findall(r"^(b|o\d+) ", text, re.MULTILINE)
+        assert shown == order[1:]
+
     def test_no_objects(self) -> None:
         assert objects_text([], CLASS_NAMES, "odom", UNICODE).startswith("No objects")
 
@@ -357,6 +368,12 @@ class TestHistoryText:
         table_text = objects_text([estimate(modes=(other, one))], CLASS_NAMES, "odom", UNICODE)
         assert table_text.index("56.3 ±") < table_text.index("236.3 ±")
 
+    def test_names_are_whole_where_there_is_room(self) -> None:
+        names = ("coffee_machine_grinder", "x")
+        lines = history_text([estimate(labels=("x",))], names, UNICODE).split("\n")
+        assert names[0] in lines[2].split()
+        assert max(map(len, lines)) <= 80
+
     def test_classes_that_do_not_fit_are_counted(self) -> None:
         names = [f"class_{k}" for k in range(5)]
         steps = [estimate(probabilities=(0.1, 0.1, 0.1, 0.1, 0.5, 0.1), class_index=3)]
@@ -423,6 +440,7 @@ class TestLogText:
         labels={"7": 5, "cat\n": 2},
         label_names={"7": "books"},
         unknown_labels={"cat\n": 2},
+        together=(("7", "cat\n", 2),),
         looks=9,
         detection_count=7,
         ids=1,
@@ -443,6 +461,7 @@ class TestLogText:
             "used         camera eye of /seen, 640 x 480 pixels, calibrated by /info, place",
             "             on the robot assumed",
             r"labels       7 (books) 5, cat\n 2 (not in the model)",
+            r"together     7 and cat\n 2",
             "note         one choice",
             "note         the summary was wrong",
             "left out     3 stamps going backwards",
@@ -521,9 +540,10 @@ class TestChecks:
         assert lines == [
             "Inequality (12) does not hold everywhere.",
             "From some places a confusing label is likelier than the class's own; there it",
-            "misleads.",
+            "misleads. Places matter where the class returns one of the two labels with at",
+            "least 10 % of the peak density of its own.",
             "",
-            "class c1: label c2 is likelier than c1 in 12 % of the region",
+            "class c1: label c2 is likelier than c1 in 12 % of the places that matter",
             "  most at (0, 16.2) dm from the object, in its frame: 0.0025 against 0.001 per",
             "  dm², 2.5 times; anywhere up to over a million times",
         ]

@@ -18,7 +18,9 @@ def check(model: Path, output_format: str) -> None:
 
     Every fault of the file is reported in one run, with its line and column; exit code 2 then.
     The paper's inequality (12) is checked between the grid's ranges: where it is violated the
-    model still works, but a class is likelier to be called by a wrong name there.
+    model still works, but a class is likelier to be called by a wrong name there. Only places
+    that matter are looked at: where the class returns one of the two labels with at least a
+    tenth of the peak density of its own. Far from all viewpoints a ratio says nothing.
 
     \b
     Examples:

@@ -33,7 +33,8 @@ class TemplateFacts:
         sensor_frame: Frame of the detections.
         label_counts: Labels seen, as the detector names them, and how often.
         label_names: Names for those of them that are mere numbers, from the log.
-        together: Pairs of labels seen in one detection: the two classes share a side.
+        together: Pairs of labels seen in one detection, and how often: the two classes share
+            a side.
         notes: Sentences to pass on: choices made, what is missing.
     """
 
@@ -47,7 +48,7 @@ class TemplateFacts:
     sensor_frame: str = ""
     label_counts: Mapping[str, int] = field(default_factory=dict)
     label_names: Mapping[str, str] = field(default_factory=dict)
-    together: tuple[tuple[str, str], ...] = ()
+    together: tuple[tuple[str, str, int], ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -59,7 +60,7 @@ def model_template(facts: TemplateFacts) -> str:
     """
     if not _class_counts(facts):
         example = {"cup": 0, "mug": 0}
-        facts = replace(facts, label_counts=example, together=(("cup", "mug"),))
+        facts = replace(facts, label_counts=example, together=(("cup", "mug", 0),))
     return "\n".join([*_head(facts), *_VIEWPOINTS, *_classes(facts), *_log(facts), *_REST, ""])
 
 
@@ -96,22 +97,28 @@ def _classes(facts: TemplateFacts) -> list[str]:
         shown = ", ".join(_one_line(name, 40) for name in left_out[:20])
         more = f" and {len(left_out) - 20} more" if len(left_out) > 20 else ""
         lines.append(f"  # Labels seen, but not made classes of: {shown}{more}")
-    partners: dict[str, dict[str, None]] = {name: {} for name in counts}
-    for pair in facts.together:
-        one, other = (_named(facts, label) for label in pair)
+    partners: dict[str, dict[str, int]] = {name: {} for name in counts}
+    for first, second, count in facts.together:
+        one, other = _named(facts, first), _named(facts, second)
         if one in partners and other in partners and one != other:
-            partners[one][other] = None
-            partners[other][one] = None
+            partners[one][other] = partners[one].get(other, 0) + count
+            partners[other][one] = partners[one][other]
     for name, count in counts.items():
-        seen = f"seen {count:,} times" if count else "an example"
+        seen = f"seen {_times(count)}" if count else "an example"
         own = "{probability: 0.95, views: {front: 0.5, back: 0.5}, clutter: 0.005}"
         shared = "{probability: 0.9, views: {front: 0.5}, clutter: 0.005}"
         lines += [f"  {quoted(name)}:  # {seen}", "    prior: 1", "    labels:"]
         lines.append(f"      {quoted(name)}: {own}")
         if partners[name]:
-            lines.append("      # Returned together: the two look alike from some side. The front?")
-        lines += [f"      {quoted(other)}: {shared}" for other in partners[name]]
+            lines.append("      # Returned together: they look alike from some side. The front?")
+        for other, together in partners[name].items():
+            often = f"  # {_times(together)}" if together else ""
+            lines.append(f"      {quoted(other)}: {shared}{often}")
     return lines
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count:,} times"
 
 
 def _class_counts(facts: TemplateFacts) -> dict[str, int]:

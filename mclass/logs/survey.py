@@ -6,14 +6,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+from scipy.sparse import csr_array
+
 from mclass import camera
 from mclass.errors import LogError
+from mclass.logs.detections import Detections, encode_texts
 from mclass.logs.families import role_of
 from mclass.logs.inputs import InputReader, Inputs
 from mclass.logs.labels import translate_labels
 from mclass.logs.reader import ChannelInfo, LogReader
 from mclass.logs.sources import own_prefix
 from mclass.model import Model
+
+_PAIRED_LABELS = 100
 
 
 @dataclass(frozen=True)
@@ -82,6 +88,8 @@ class Survey:
         placed: Detection messages that a pose covers.
         sensors: Of the detections.
         labels: How often each name was seen, names as the detector gives them, frequent first.
+        together: How often two of ``labels`` were returned for one thing in one look, frequent
+            first: both names and the count.
         label_names: Names by number, from the log.
         unknown_labels: Those of ``labels`` that the model lacks; empty without a model.
         looks: Detection messages.
@@ -105,6 +113,7 @@ class Survey:
     placed: int = 0
     sensors: tuple[SensorUse, ...] = ()
     labels: Mapping[str, int] = field(default_factory=dict)
+    together: tuple[tuple[str, str, int], ...] = ()
     label_names: Mapping[str, str] = field(default_factory=dict)
     unknown_labels: Mapping[str, int] = field(default_factory=dict)
     looks: int = 0
@@ -157,6 +166,7 @@ def survey(reader: LogReader, model: Model | None = None) -> Survey:
         placed=int(track.covered(inputs.stamps_ns, max_gap_ns).sum()),
         sensors=_sensors(inputs),
         labels=labels,
+        together=_together(found, list(labels)[:_PAIRED_LABELS]),
         label_names=inputs.numbered,
         unknown_labels=unknown,
         looks=found.n_looks,
@@ -180,6 +190,32 @@ def _counted(names: list[str]) -> dict[str, int]:
     for name in names:
         counts[name] = counts.get(name, 0) + 1
     return dict(sorted(counts.items(), key=lambda entry: (-entry[1], entry[0])))
+
+
+def _together(found: Detections, names: list[str]) -> tuple[tuple[str, str, int], ...]:
+    """How often two names were returned for one thing: in one detection, or under one id."""
+    if len(names) < 2:
+        return ()
+    known, codes = encode_texts(found.labels)
+    number = {name: index for index, name in enumerate(names)}
+    rank = np.array([number.get(name, -1) for name in known])[codes]
+    _, owner = encode_texts(found.ids)
+    anonymous = found.ids == ""
+    owner = np.where(anonymous, -1 - np.arange(len(found)), owner)
+    _, thing = np.unique(np.stack([found.look_index, owner]), axis=1, return_inverse=True)
+    listed = rank >= 0
+    pairs = np.unique(
+        np.stack([thing.reshape(-1)[found.label_detection[listed]], rank[listed]]), axis=1
+    )
+    returned = csr_array(
+        (np.ones(pairs.shape[1], np.int64), (pairs[1], pairs[0])), shape=(len(names), len(found))
+    )
+    counts = (returned @ returned.T).toarray()
+    both = [
+        (names[first], names[second], int(counts[first, second]))
+        for first, second in zip(*np.nonzero(np.triu(counts, 1)), strict=True)
+    ]
+    return tuple(sorted(both, key=lambda pair: (-pair[2], pair[:2])))
 
 
 def _sensors(inputs: Inputs) -> tuple[SensorUse, ...]:

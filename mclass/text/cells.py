@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from mclass.classes import BACKGROUND
 from mclass.records import FloatArray
 from mclass.results import CellReport, ObjectEstimate, OrientationMode, is_flat
-from mclass.text.terminal import Terminal, table, wrap
+from mclass.text.terminal import Terminal, display_width, table, wrap
 from mclass.text.values import (
     count_text,
     degrees_text,
@@ -26,6 +26,7 @@ _CHART_COLUMNS = 72
 _CHART_ROWS = 4
 _CHARTED_CLASSES = 4
 _LISTED_CLASSES = 12
+_SHORTEST_LABELS = 16
 _NEGLIGIBLE = 0.01
 _TIE_TOLERANCE = 1e-6
 _FLAT = 1e-3
@@ -179,25 +180,48 @@ def history_text(
         return "No history: no measurement has touched this."
     names = [terminal.clean(name) for name in class_names]
     order = np.argsort(-history[-1].class_probabilities[1:], kind="stable")
-    shown = order[: max(1, (terminal.width - 56) // 12)]
     start_ns = history[0].stamp_ns
-    rows = [
-        [
-            str(step.measurements),
-            seconds_text(step.stamp_ns - start_ns),
-            ", ".join(terminal.clean(label) for label in step.labels) or "none",
-            *(probability_text(step.class_probabilities[i]) for i in (0, *(shown + 1))),
-            _orientation_summary(step),
-        ]
-        for step in history
+    fixed = {
+        "n": [str(step.measurements) for step in history],
+        "t [s]": [seconds_text(step.stamp_ns - start_ns) for step in history],
+        "labels": [
+            ", ".join(terminal.clean(label) for label in step.labels) or "none" for step in history
+        ],
+        BACKGROUND: [probability_text(step.class_probabilities[0]) for step in history],
+        "orientation [deg]": [_orientation_summary(step) for step in history],
+    }
+    classes = [
+        [names[i], *(probability_text(step.class_probabilities[1 + i]) for step in history)]
+        for i in order
     ]
-    classes = [terminal.shorten(names[i], 10) for i in shown]
-    headings = ["n", "t [s]", "labels", BACKGROUND, *classes, "orientation [deg]"]
-    align = ">><" + ">" * (1 + len(classes)) + "<"
-    lines = table(headings, rows, align, terminal, elastic=(2,))
+    shown = _fitting(fixed, classes, terminal)
+    before, last = list(fixed)[:-1], list(fixed)[-1]
+    headings = [*before, *(column[0] for column in shown), last]
+    columns = [*(fixed[name] for name in before), *(column[1:] for column in shown), fixed[last]]
+    rows = list(zip(*columns, strict=True))
+    align = ">><>" + ">" * len(shown) + "<"
+    lines = table(headings, rows, align, terminal, elastic=(2, *range(4, 4 + len(shown))))
     if len(shown) < len(names):
         lines.append(f"{len(names) - len(shown)} of {len(names)} classes not shown")
     return "\n".join([f"t = 0 at {stamp_text(start_ns)}", "", *lines])
+
+
+def _fitting(
+    fixed: Mapping[str, Sequence[str]], classes: Sequence[Sequence[str]], terminal: Terminal
+) -> Sequence[Sequence[str]]:
+    """As many class columns, headings first, as fit beside the others; at least one."""
+    room = terminal.width
+    for name, cells in fixed.items():
+        width = max(map(display_width, (name, *cells)))
+        # Labels may be shortened to make room for classes, though not to nothing.
+        room -= 2 + (min(width, _SHORTEST_LABELS) if name == "labels" else width)
+    count = 0
+    for column in classes:
+        room -= 2 + max(map(display_width, column))
+        if room < -2:
+            break
+        count += 1
+    return classes[: max(count, 1)]
 
 
 def _orientation_summary(step: ObjectEstimate | CellReport) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mclass.checks import Violation
+from mclass.checks import MATTERS, Violation
 from mclass.text.documents import JsonObject, finite
 from mclass.text.terminal import Terminal, wrap
 from mclass.text.values import share_text
@@ -47,8 +47,9 @@ def check_text(
     lines = [
         terminal.paint("Inequality (12) does not hold everywhere.", "warning"),
         *wrap(
-            "From some places a confusing label is likelier than the class's own; "
-            "there it misleads.",
+            "From some places a confusing label is likelier than the class's own; there it "
+            "misleads. Places matter where the class returns one of the two labels with at least "
+            f"{MATTERS:.0%} of the peak density of its own.".replace("%", " %"),
             terminal,
         ),
     ]
@@ -62,7 +63,8 @@ def _violation_lines(
 ) -> list[str]:
     """Who confuses what, in how much of the region, and where most."""
     name, metres = unit
-    x, y = (value / metres for value in violation.position)
+    # Polishing leaves 1e-20 where it means 0; minus zero is zero.
+    x, y = (round(float(value) / metres, 6) + 0.0 for value in violation.position)
     # A density per square metre holds fewer of them in a smaller unit's square.
     confusion, own = (
         density * metres**2 for density in (violation.confusion_density, violation.true_density)
@@ -70,7 +72,7 @@ def _violation_lines(
     what = (
         f"class {terminal.clean(violation.class_name)}: label {terminal.clean(violation.label)} "
         f"is likelier than {terminal.clean(violation.true_label)} in "
-        f"{share_text(violation.share)} of the region"
+        f"{share_text(violation.share)} of the places that matter"
     )
     where = (
         f"  most at ({x:.3g}, {y:.3g}) {name} from the object, in its frame: {confusion:.3g} "

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from mclass.classes import BACKGROUND
 from mclass.results import CellReport, ObjectEstimate, OrientationMode
-from mclass.text.values import degrees
+from mclass.text.values import degrees, natural
 
 JsonObject: TypeAlias = dict[str, Any]
 
@@ -27,13 +27,13 @@ def objects_json(
     """The document of ``inspect objects``.
 
     Args:
-        objects: Latest estimate of each object.
+        objects: Latest estimate of each object; they come out in the natural order of ids.
         class_names: Without the background.
         frame: World frame of the positions.
         history: Every estimate by object id, oldest first; each object then gets its own.
     """
     entries = []
-    for estimate in objects:
+    for estimate in sorted(objects, key=lambda estimate: natural(estimate.object_id)):
         entry = object_json(estimate, class_names)
         if history is not None:
             past = history.get(estimate.object_id, ())
@@ -166,11 +166,10 @@ def _probabilities_json(probabilities: Iterable[float], class_names: Sequence[st
 
 def _mode_json(mode: OrientationMode) -> JsonObject:
     """One peak of an orientation density."""
-    std = finite(mode.std)
     return {
         "orientation_deg": _degrees(mode.orientation),
         "mass": finite(mode.mass),
-        "std_deg": None if std is None else math.degrees(std),
+        "std_deg": finite(math.degrees(mode.std)),
     }
 
 

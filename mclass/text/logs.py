@@ -18,6 +18,27 @@ _LISTED_LABELS = 20
 
 
 @dataclasses.dataclass(frozen=True)
+class Verification:
+    """What was looked at when every byte of a log was checked, and what came out.
+
+    Attributes:
+        bytes: Size of the file.
+        chunks: Chunks and runs of messages without one.
+        messages: In them.
+        attachments: In the file.
+        data_checksum: Whether the data section as a whole carries one; others may.
+        problems: What is wrong, in sentences.
+    """
+
+    bytes: int
+    chunks: int
+    messages: int
+    attachments: int
+    data_checksum: bool
+    problems: Sequence[str] = ()
+
+
+@dataclasses.dataclass(frozen=True)
 class LogFacts:
     """What a log says of itself.
 
@@ -30,6 +51,7 @@ class LogFacts:
         end_ns: Last log time.
         damage: What was lost, in sentences.
         remarks: What was wrong without costing data, in sentences.
+        verification: Of every byte, None unless that was asked for.
     """
 
     path: str
@@ -40,6 +62,7 @@ class LogFacts:
     end_ns: int | None
     damage: Sequence[str] = ()
     remarks: Sequence[str] = ()
+    verification: Verification | None = None
 
 
 def log_json(facts: LogFacts, survey: Survey) -> JsonObject:
@@ -53,7 +76,11 @@ def log_json(facts: LogFacts, survey: Survey) -> JsonObject:
         "end_ns": None if facts.end_ns is None else str(facts.end_ns),
         "damage": list(facts.damage),
         "remarks": list(facts.remarks),
+        "verified": dataclasses.asdict(facts.verification) if facts.verification else None,
         **dataclasses.asdict(survey),
+        "together": [
+            {"labels": [first, second], "count": count} for first, second, count in survey.together
+        ],
     }
 
 
@@ -67,6 +94,10 @@ def log_text(facts: LogFacts, survey: Survey, terminal: Terminal) -> str:
         lines += _field("used", sentence, terminal)
     if survey.labels:
         lines += _field("labels", _labels(survey), terminal)
+    if survey.together:
+        lines += _field("together", _together(survey), terminal)
+    if facts.verification is not None:
+        lines += _field("verified", _verified(facts.verification), terminal)
     for sentence in (*survey.notes, *facts.remarks):
         lines += _field("note", sentence, terminal)
     for sentence in _left_out(survey):
@@ -141,6 +172,31 @@ def _labels(survey: Survey) -> str:
     if len(survey.labels) > _LISTED_LABELS:
         parts.append(f"and {len(survey.labels) - _LISTED_LABELS} more")
     return ", ".join(parts)
+
+
+def _together(survey: Survey) -> str:
+    """Pairs of labels that were returned for one thing at one instant."""
+    parts = [f"{a or repr('')} and {b or repr('')} {count}" for a, b, count in survey.together]
+    rest = len(parts) - _LISTED_LABELS
+    return ", ".join(parts[:_LISTED_LABELS]) + (f", and {rest} more pairs" if rest > 0 else "")
+
+
+def _verified(done: Verification) -> str:
+    """What was checked, and the result."""
+    read = ", ".join(
+        (
+            f"{done.bytes:,} bytes",
+            f"{done.messages:,} " + ("message" if done.messages == 1 else "messages"),
+            f"in {count_text(done.chunks, 'chunk')}",
+            count_text(done.attachments, "attachment"),
+        )
+    ).replace(", in", " in")
+    checks = "checksums, message indexes and times"
+    if not done.data_checksum:
+        checks += " (the data section as a whole has no checksum)"
+    if done.problems:
+        return f"{read}; {checks}: {count_text(len(done.problems), 'problem')}, as said below"
+    return f"{read}; {checks}: nothing is wrong"
 
 
 def _left_out(survey: Survey) -> Iterable[str]:

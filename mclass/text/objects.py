@@ -15,6 +15,7 @@ from mclass.text.values import (
     in_reading_order,
     list_text,
     mode_text,
+    natural,
     probability_text,
     share_text,
     spread_text,
@@ -35,7 +36,8 @@ def objects_text(
     """Table of objects: class probabilities, position ± std, orientation modes.
 
     The named class comes first in each object's lines; position and orientations are given
-    that class. Ties, and a background more probable than any class, are said below.
+    that class. Objects are in the natural order of their ids. Ties, and a background more
+    probable than any class, are said below.
 
     Args:
         objects: Latest estimate of each object.
@@ -43,7 +45,7 @@ def objects_text(
         frame: World frame of the positions.
         terminal: What the reader's terminal can show.
     """
-    estimates = list(objects)
+    estimates = sorted(objects, key=lambda estimate: natural(estimate.object_id))
     if not estimates:
         return "No objects: no measurement that was used carries an object id."
     names = [terminal.clean(name) for name in class_names]

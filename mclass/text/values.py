@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from datetime import datetime, timezone
 
@@ -10,6 +11,18 @@ from mclass.results import OrientationMode
 from mclass.text.terminal import Terminal
 
 _CALENDAR_FROM_NS = 10**17  # Early 1973: stamps before it count from a start, not from 1970.
+
+
+def natural(name: str) -> tuple[tuple[int, int, str, str], ...]:
+    """Key that sorts names as people number them: ``o2`` before ``o10``."""
+    parts = re.findall(r"[0-9]+|[^0-9]+", name)
+    return tuple(
+        # Numbers compare by their lengths, then digits: an id may have thousands of them.
+        (0, len(part.lstrip("0")), part.lstrip("0"), part)
+        if part[0] in "0123456789"
+        else (1, 0, part, "")
+        for part in parts
+    )
 
 
 def degrees(angle: float) -> float:
