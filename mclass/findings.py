@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from mclass.cells import grid_history, stored_report, untouched_report
 from mclass.errors import UsageError
 from mclass.inference import GridEstimate, Problem, cuts_every
 from mclass.model import Model
+from mclass.places import Place
 from mclass.records import FloatArray, LabelMeasurements, PoseTrack
 from mclass.results import BeliefBlock, CellReport, ClassMaps, ObjectEstimate
 
@@ -37,7 +37,8 @@ class Estimate:
         damage: Sentences on parts of the log that could not be used.
         idle: Measurements among ``skipped`` that a class explains, but that concern no cell.
         input: The log; None if there is none.
-        input_hash: ``sha256:`` and the hash of the log; empty unless an output was written.
+        input_hash: ``sha256:`` and the hash of the log, for a URL ``etag:`` and its store's word
+            for the version; empty unless an output was written.
         output: What was written; None if nothing was.
     """
 
@@ -53,9 +54,9 @@ class Estimate:
     notes: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     idle: int = 0
-    input: Path | None = None
+    input: Place | None = None
     input_hash: str = ""
-    output: Path | None = None
+    output: Place | None = None
 
     @property
     def measurements(self) -> LabelMeasurements:

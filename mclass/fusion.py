@@ -8,7 +8,6 @@ once, and looks from one place share one vote whichever log they are in.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from mclass.model import Model
 from mclass.outputs.channels import Encoding
 from mclass.outputs.readback import OutputLog
 from mclass.pipeline import ModelSource, infer, model_of
+from mclass.places import Place, PlaceLike, place_of
 from mclass.records import FloatArray, LabelMeasurements
 
 _OUTPUT_SUFFIXES = (".mclass.mcap", ".mcap")
@@ -47,7 +47,7 @@ class _Output:
         model_name: Name of that file.
     """
 
-    path: Path
+    path: Place
     name: str
     measurements: LabelMeasurements
     frame: str
@@ -58,8 +58,8 @@ class _Output:
 
 
 def fuse(
-    outputs: Sequence[str | os.PathLike[str]],
-    output: str | os.PathLike[str] | None = None,
+    outputs: Sequence[PlaceLike],
+    output: PlaceLike | None = None,
     *,
     frames: Path | None = None,
     model: ModelSource | None = None,
@@ -89,10 +89,10 @@ def fuse(
     """
     if not outputs:
         raise UsageError("nothing to fuse: name at least one output")
-    sources = _read([Path(path) for path in outputs])
-    if output is not None and os.path.exists(output):
+    sources = _read([place_of(path) for path in outputs])
+    if output is not None:
         for source in sources:
-            if os.path.samefile(output, source.path):
+            if _is_same(place_of(output), source.path):
                 raise UsageError(f"{output} is fused itself, and never changed: choose another -o")
     _refuse_repeats(sources)
     chosen = _common_model(sources) if model is None else model_of(model)
@@ -145,7 +145,13 @@ def fuse(
     )
 
 
-def _read(paths: Sequence[Path]) -> list[_Output]:
+def _is_same(one: Place, other: Place) -> bool:
+    if isinstance(one, Path) and isinstance(other, Path):
+        return one.exists() and one.samefile(other)
+    return one == other
+
+
+def _read(paths: Sequence[Place]) -> list[_Output]:
     names: list[str] = []
     sources = []
     for path in paths:
@@ -185,7 +191,7 @@ def _inputs(log: OutputLog) -> frozenset[str]:
     return frozenset(hashes - {""})
 
 
-def _stem(path: Path) -> str:
+def _stem(path: Place) -> str:
     for suffix in _OUTPUT_SUFFIXES:
         if path.name.endswith(suffix) and path.name != suffix:
             return path.name.removesuffix(suffix)

@@ -11,9 +11,10 @@ from mclass.errors import UsageError
 from mclass.logs.reader import LogReader
 from mclass.logs.survey import Survey, survey
 from mclass.model import FieldMapping, TransformSource
+from mclass.places import Place
 
 
-def template_for(log: Path) -> str:
+def template_for(log: Place) -> str:
     """The commented model file that fits a log: its topics, its labels, its frames.
 
     Raises:
@@ -45,13 +46,14 @@ def _pose_source(found: Survey) -> FieldMapping | TransformSource | None:
     return FieldMapping(found.pose_topic) if found.pose_topic else None
 
 
-def write_model_file(text: str, log: Path, output: Path | None, *, overwrite: bool) -> Path:
+def write_model_file(text: str, log: Place, output: Path | None, *, overwrite: bool) -> Path:
     """Write a model file where `estimate` finds it, unless told where.
 
     Raises:
         UsageError: If the file exists, or cannot be written.
     """
-    path = log.with_name(MODEL_FILE_NAME) if output is None else output
+    beside = log.with_name(MODEL_FILE_NAME) if isinstance(log, Path) else Path(MODEL_FILE_NAME)
+    path = beside if output is None else output
     flags = os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if overwrite else os.O_EXCL)
     try:
         with os.fdopen(os.open(path, flags, 0o666), "w", encoding="utf-8") as file:

@@ -14,6 +14,7 @@ from mclass.logs.damage import undecoded
 from mclass.logs.reader import LogReader
 from mclass.logs.survey import Survey, survey
 from mclass.outputs.readback import OutputLog
+from mclass.places import Place
 from mclass.results import CellReport
 from mclass.text.logs import LogFacts, Verification
 
@@ -80,7 +81,7 @@ class CellView:
     frame: str
 
 
-def look_into(out: Path, x: float, y: float, object_id: str | None, *, history: bool) -> CellView:
+def look_into(out: Place, x: float, y: float, object_id: str | None, *, history: bool) -> CellView:
     """The cell of an output that holds a point [m].
 
     Args:

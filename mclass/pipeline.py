@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import itertools
 import os
 from collections.abc import Collection, Mapping
@@ -34,6 +33,7 @@ from mclass.logs.writer import LogWriter
 from mclass.memory import require_memory
 from mclass.model import Model
 from mclass.outputs.channels import Encoding, OutputChannels
+from mclass.places import Place, PlaceLike, Url, place_of
 from mclass.records import LabelMeasurements, Tally
 from mclass.results import ObjectEstimate
 
@@ -43,12 +43,11 @@ ModelSource: TypeAlias = "Model | str | os.PathLike[str]"
 NOWHERE = "no direction, and no known position of the object"
 MISSED = "points at no cell (smaller grid.cell_size, or grid.footprint: ray)"
 
-_HASH_BLOCK = 1 << 20
 
-
-def default_output(log: Path) -> Path:
-    """``LOG-stem.mclass.mcap`` beside the log."""
-    return log.with_name(f"{log.stem}.mclass.mcap")
+def default_output(log: Place) -> Place:
+    """``LOG-stem.mclass.mcap`` beside the log; of a URL, in the working directory."""
+    name = f"{log.stem}.mclass.mcap"
+    return Path(name) if isinstance(log, Url) else log.with_name(name)
 
 
 def model_of(source: ModelSource) -> Model:
@@ -65,10 +64,10 @@ def model_of(source: ModelSource) -> Model:
 
 
 def estimate(
-    log: str | os.PathLike[str],
+    log: PlaceLike,
     model: ModelSource | None = None,
     *,
-    output: str | os.PathLike[str] | None = None,
+    output: PlaceLike | None = None,
     start: str | None = None,
     end: str | None = None,
     every_s: float | None = None,
@@ -81,7 +80,7 @@ def estimate(
     """Estimate every object and every cell of a log.
 
     Args:
-        log: MCAP file; never touched unless ``in_place``.
+        log: MCAP file or its URL; never touched unless ``in_place``.
         model: A model, the path of a model file or its text. Without it: ``mclass.yaml`` beside
             the log, in the working directory, or attached to the log.
         output: Where to write the log together with the results; None writes nothing.
@@ -98,11 +97,13 @@ def estimate(
     Raises:
         ConfigError: The model is wrong or missing.
         ModelError: It would not fit into memory.
-        UsageError: ``in_place`` together with ``output`` or ``only_new``.
+        UsageError: ``in_place`` together with ``output`` or ``only_new``, or for a URL.
         LogError: The log cannot be used, or the output cannot be written.
     """
     if in_place and (output is not None or only_new):
         raise UsageError("in place, results go into the log: no output, nor only what is new")
+    if in_place and isinstance(place_of(log), Url):
+        raise UsageError(f"{place_of(log)}: in place, the log must be a file")
     with LogReader.open(log) as reader:
         if model is None:
             model = find_model(reader.path, reader.attachment(MODEL_FILE_NAME))
@@ -124,13 +125,13 @@ def estimate(
             found = _solve(problem, contents.frame, None, every_s, threads)
         else:
             with ThreadPoolExecutor(max_workers=1) as pool, contextlib.ExitStack() as stack:
-                digest = pool.submit(_sha256, reader)
+                digest = pool.submit(reader.source.hash)
                 if in_place:
                     # What is to be hashed is about to change.
                     digest.result()
                 writer = stack.enter_context(
                     LogWriter(
-                        Path(output),
+                        place_of(output),
                         source=reader,
                         profile=reader.profile,
                         overwrite=overwrite,
@@ -152,7 +153,7 @@ def estimate(
                     "input": reader.path.name,
                 }
                 log_time_ns = reader.end_ns or 0
-                input_hash = f"sha256:{digest.result()}"
+                input_hash = digest.result()
                 account = {
                     "used": found.used,
                     "skipped": skipped,
@@ -171,7 +172,7 @@ def estimate(
             damage=(*reader.damage.losses, *contents.losses),
             input=reader.path,
             input_hash=input_hash,
-            output=None if output is None else Path(output),
+            output=None if output is None else place_of(output),
         )
 
 
@@ -179,7 +180,7 @@ def infer(
     measurements: LabelMeasurements,
     model: ModelSource,
     *,
-    output: str | os.PathLike[str] | None = None,
+    output: PlaceLike | None = None,
     frame: str = "world",
     encoding: Encoding = "ros2",
     every_s: float | None = None,
@@ -219,7 +220,7 @@ def infer(
         if output is not None:
             profile = "ros2" if encoding == "ros2" else ""
             writer = stack.enter_context(
-                LogWriter(Path(output), profile=profile, overwrite=overwrite)
+                LogWriter(place_of(output), profile=profile, overwrite=overwrite)
             )
             channels = OutputChannels(writer, encoding, frame, model, prefix=prefix)
         found = _solve(problem, frame, channels, every_s)
@@ -231,11 +232,11 @@ def infer(
                 account={"used": found.used, "skipped": found.skipped},
             )
             channels.write_layout(log_time_ns)
-    return replace(found, output=None if output is None else Path(output))
+    return replace(found, output=None if output is None else place_of(output))
 
 
 def _refuse_nothing(
-    used: int, skipped: Mapping[str, int], losses: Collection[str], path: Path, *, windowed: bool
+    used: int, skipped: Mapping[str, int], losses: Collection[str], path: Place, *, windowed: bool
 ) -> None:
     """Refuse a log of whose detections none can be used.
 
@@ -334,10 +335,3 @@ def _cuts(problem: Problem, every_s: float | None) -> list[Cut]:
     """When maps are written."""
     period_ns = None if every_s is None else max(1, round(every_s * 1e9))
     return cuts_every(problem.measurements, period_ns)
-
-
-def _sha256(reader: LogReader) -> str:
-    digest = hashlib.sha256()
-    for start in range(0, reader.size, _HASH_BLOCK):
-        digest.update(reader.source.read(start, min(_HASH_BLOCK, reader.size - start)))
-    return digest.hexdigest()

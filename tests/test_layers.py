@@ -32,6 +32,7 @@ MATHEMATICS = (
 LAYERS = (
     ("parallel",),
     *MATHEMATICS,
+    ("places",),
     ("resources", "rules", "findings"),
     ("messages", "config"),
     ("logs",),

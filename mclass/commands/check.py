@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from mclass.commands.options import LOG, echo_json, format_option
+from mclass.commands.options import FILE, echo_json, format_option
 
 
 @click.command(short_help="Validate a model file.")
-@click.argument("model", type=LOG)
+@click.argument("model", type=FILE)
 @format_option
 def check(model: Path, output_format: str) -> None:
     """Validate MODEL and report where a confusion exceeds the class's own label.

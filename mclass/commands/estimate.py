@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,6 +18,9 @@ from mclass.commands.options import (
     time_options,
 )
 
+if TYPE_CHECKING:
+    from mclass.places import Place
+
 
 @click.command()
 @click.argument("log", type=LOG)
@@ -25,9 +28,9 @@ from mclass.commands.options import (
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=LOG,
     metavar="OUT.mcap",
-    help="Where to write.  [default: LOG-stem.mclass.mcap beside the log]",
+    help="Where to write.  [default: LOG-stem.mclass.mcap beside the log; of a URL, here]",
 )
 @time_options
 @click.option(
@@ -59,9 +62,9 @@ from mclass.commands.options import (
 @click.pass_context
 def estimate(
     ctx: click.Context,
-    log: Path,
+    log: Place,
     model_path: Path | None,
-    output: Path | None,
+    output: Place | None,
     start: str | None,
     end: str | None,
     every_s: float | None,
@@ -85,6 +88,7 @@ def estimate(
       mclass estimate drive.mcap -c boxes.yaml -o result.mcap --every 10
       mclass estimate drive.mcap -S +30s -E +90s --format json
       mclass estimate drive.mcap --only-new
+      mclass estimate s3://bucket/drive.mcap -o s3://bucket/out.mcap
     """
     if in_place and (output is not None or only_new):
         raise click.UsageError("--in-place writes into LOG: it goes with neither -o nor --only-new")

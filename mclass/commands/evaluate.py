@@ -13,6 +13,8 @@ from mclass.commands.options import LOG, echo_json, format_option
 if TYPE_CHECKING:
     from typing import Literal
 
+    from mclass.places import Place
+
 
 @click.command(short_help="Compare results with the truth.")
 @click.argument("outs", nargs=-1, required=True, type=LOG, metavar="OUT...")
@@ -58,7 +60,7 @@ if TYPE_CHECKING:
 def evaluate(
     ctx: click.Context,
     *,
-    outs: tuple[Path, ...],
+    outs: tuple[Place, ...],
     truth_path: Path | None,
     match: Literal["position", "id"],
     gate: float,

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mclass.commands.options import LOG, echo_json, format_option, overwrite_option
+
+if TYPE_CHECKING:
+    from mclass.places import Place
 
 
 @click.command(short_help="Join results of several logs or robots in one map.")
@@ -15,7 +19,7 @@ from mclass.commands.options import LOG, echo_json, format_option, overwrite_opt
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=LOG,
     metavar="MAP.mcap",
     required=True,
     help="Where to write; a log of the channels /mclass/... alone.",
@@ -47,8 +51,8 @@ from mclass.commands.options import LOG, echo_json, format_option, overwrite_opt
 @format_option
 def fuse(
     *,
-    outputs: tuple[Path, ...],
-    output: Path,
+    outputs: tuple[Place, ...],
+    output: Place,
     frames: Path | None,
     model_path: Path | None,
     separate_ids: bool,

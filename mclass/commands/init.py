@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mclass.commands.options import LOG, overwrite_option
+
+if TYPE_CHECKING:
+    from mclass.places import Place
 
 
 @click.command(short_help="Write a commented model file for a log.")
@@ -20,7 +24,7 @@ from mclass.commands.options import LOG, overwrite_option
     help="Where to write; - for stdout.  [default: mclass.yaml beside the log]",
 )
 @overwrite_option
-def init(log: Path, output: Path | None, overwrite: bool) -> None:
+def init(log: Place, output: Path | None, overwrite: bool) -> None:
     """Look at LOG and write a commented model file for it.
 
     The file names the topics found and has a class for every label seen, with viewpoints that

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mclass.commands.options import (
+    FILE,
     LOG,
     echo_json,
     format_option,
     model_option,
     plot_option,
 )
+
+if TYPE_CHECKING:
+    from mclass.places import Place
 
 history_option = click.option(
     "--history", is_flag=True, help="Also the same figures after each measurement, oldest first."
@@ -40,7 +45,7 @@ def inspect() -> None:
 @format_option
 @click.pass_context
 def inspect_log(
-    ctx: click.Context, log: Path, model_path: Path | None, verify: bool, output_format: str
+    ctx: click.Context, log: Place, model_path: Path | None, verify: bool, output_format: str
 ) -> None:
     """Say what is in LOG, what `estimate` would use of it, and why not the rest.
 
@@ -69,7 +74,7 @@ def inspect_log(
 @history_option
 @format_option
 @plot_option
-def inspect_objects(out: Path, history: bool, output_format: str, plot_path: Path | None) -> None:
+def inspect_objects(out: Place, history: bool, output_format: str, plot_path: Path | None) -> None:
     """Print every object in OUT: class probabilities, position, orientation modes.
 
     \b
@@ -115,7 +120,7 @@ def inspect_objects(out: Path, history: bool, output_format: str, plot_path: Pat
 @format_option
 @plot_option
 def inspect_cell(
-    out: Path,
+    out: Place,
     x: float,
     y: float,
     object_id: str | None,
@@ -162,7 +167,7 @@ def inspect_cell(
 
 
 @inspect.command("model", short_help="A model's likelihood fields.")
-@click.argument("model", type=LOG)
+@click.argument("model", type=FILE)
 @format_option
 @plot_option
 def inspect_model(model: Path, output_format: str, plot_path: Path | None) -> None:

@@ -10,8 +10,25 @@ import click
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-LOG = click.Path(path_type=Path)
-"""A log or model file; whether it can be read is said by the reader, with what to do."""
+
+class PlaceType(click.Path):
+    """A path, or a URL that is left as it is."""
+
+    name = "path"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See `click.Path.convert`."""
+        from mclass.places import Url, place_of
+
+        place = place_of(value)
+        return place if isinstance(place, Url) else super().convert(value, param, ctx)
+
+
+LOG = PlaceType(path_type=Path)
+"""A log's path or URL; whether it can be read is said by the reader, with what to do."""
+
+FILE = click.Path(path_type=Path)
+"""A model or a truth; the same goes for it."""
 
 
 def format_option(command: Command) -> Command:

@@ -7,22 +7,27 @@ from pathlib import Path
 from mclass.config.model_file import load_model, parse_model
 from mclass.errors import ConfigError, ConfigProblem
 from mclass.model import Model
+from mclass.places import Place
 
 MODEL_FILE_NAME = "mclass.yaml"
 """Name of a model file, or of an attachment holding one, that is found by itself."""
 
 
-def find_model_file(log: Path) -> Path | None:
-    """``mclass.yaml`` beside the log or, failing that, in the working directory."""
-    candidates = (log.parent / MODEL_FILE_NAME, Path(MODEL_FILE_NAME))
+def find_model_file(log: Place) -> Path | None:
+    """``mclass.yaml`` beside the log or, failing that, in the working directory.
+
+    Beside a URL nothing is looked for.
+    """
+    beside = [log.parent] if isinstance(log, Path) else []
+    candidates = [folder / MODEL_FILE_NAME for folder in (*beside, Path())]
     return next((path for path in candidates if path.exists()), None)
 
 
-def find_model(log: Path, attachment: str | bytes | None = None) -> Model:
+def find_model(log: Place, attachment: str | bytes | None = None) -> Model:
     """The model for a log when the user names none: a file found, else the log's own.
 
     Args:
-        log: Path of the log.
+        log: Where the log is.
         attachment: Content of the log's attachment `MODEL_FILE_NAME`, None if it has none.
 
     Raises:

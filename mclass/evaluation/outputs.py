@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from mclass.errors import LogError
@@ -11,6 +10,7 @@ from mclass.evaluation.density import joint_density
 from mclass.evaluation.scores import LogScore, score_log
 from mclass.evaluation.truth import Truth, parse_truth
 from mclass.outputs.readback import OutputLog
+from mclass.places import Place
 from mclass.simulation.write import TRUTH_NAME
 
 
@@ -23,7 +23,7 @@ class ScoredOutput:
 
 
 def score_output(
-    path: Path,
+    path: Place,
     truth: Truth | None,
     *,
     match: Literal["position", "id"] = "position",

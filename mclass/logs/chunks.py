@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 
 from mclass.errors import LogError
 from mclass.logs.source import Source
+from mclass.logs.stores import StoreError
 from mclass.logs.wire import (
     CHUNK_HEAD,
     MAX_RECORD,
@@ -148,12 +149,15 @@ def read_chunk(source: Source, entry: ChunkEntry) -> ChunkContent:
 
     Raises:
         ChunkLostError: If its content cannot be trusted or cannot be had.
+        StoreError: If a store fails: that is no damage of the log.
         IndexLiesError: If the entry came from a chunk index and another thing is there.
     """
     if entry.length > MAX_RECORD or entry.uncompressed_size > MAX_RECORD:
         raise ChunkLostError("it claims more than 1 GiB, which no chunk needs")
     try:
         return _read_chunk(source, entry)
+    except StoreError:
+        raise
     except LogError as error:
         raise ChunkLostError(f"the disk fails ({error})") from error
     except MemoryError:

@@ -112,6 +112,7 @@ class PendingFile:
         Raises:
             LogError: If the disk is full or fails, or the log lost bytes in the meantime.
         """
+        source.expect([(start, end)])
         position = start
         while position < end and (copied := self._copy_in_kernel(source, position, end)):
             position += copied
@@ -163,7 +164,8 @@ class PendingFile:
             found = os.stat(self._target)
         except FileNotFoundError:
             return
-        if self._source is not None and os.path.samestat(found, os.fstat(self._source.fileno())):
+        descriptor = None if self._source is None else self._source.descriptor
+        if descriptor is not None and os.path.samestat(found, os.fstat(descriptor)):
             raise LogError(
                 "is the input itself, which is never changed. Choose another output.",
                 path=self._name,
@@ -192,11 +194,11 @@ class PendingFile:
 
     def _copy_in_kernel(self, source: Source, position: int, end: int) -> int:
         """Bytes copied; 0 where the system cannot do it."""
-        if not hasattr(os, "copy_file_range"):
+        if source.descriptor is None or not hasattr(os, "copy_file_range"):
             return 0
         count = min(_COPY_STEP, end - position)
         try:
-            return os.copy_file_range(source.fileno(), self._file, count, offset_src=position)
+            return os.copy_file_range(source.descriptor, self._file, count, offset_src=position)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG):
                 raise self._as_log_error(error) from error

@@ -5,11 +5,9 @@ All that can be used is used; ``LogReader.damage`` counts what could not be, in 
 
 from __future__ import annotations
 
-import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -26,6 +24,7 @@ from mclass.logs.chunks import (
 )
 from mclass.logs.damage import Damage
 from mclass.logs.index import load_index, lose_chunk, scan_index, use_content
+from mclass.logs.remote import open_remote
 from mclass.logs.source import Source, open_source
 from mclass.logs.summary import Summary
 from mclass.logs.walk import LogIndex, read_attachment_head
@@ -36,6 +35,7 @@ from mclass.logs.wire import (
     MalformedError,
     parse_metadata,
 )
+from mclass.places import PlaceLike, Url, place_of
 from mclass.records import BoolArray, IntArray
 
 _LATEST = (1 << 63) - 1
@@ -118,15 +118,15 @@ class LogReader:
     """An open log.
 
     Attributes:
-        path: Of the file.
+        path: Of the file, or its URL.
         size: Bytes in the file.
         damage: What could not be used; grows while the log is read.
         index: Where everything is; for ``LogWriter``.
         source: The file's bytes; for ``LogWriter``.
     """
 
-    def __init__(self, source: Source) -> None:
-        self.path = Path(source.name)
+    def __init__(self, source: Source, path: PlaceLike | None = None) -> None:
+        self.path = place_of(source.name if path is None else path)
         self.source = source
         self.size = source.size
         self.index: LogIndex
@@ -134,15 +134,18 @@ class LogReader:
         self.index, self.damage = load_index(source)
 
     @classmethod
-    def open(cls, path: str | os.PathLike[str]) -> LogReader:
+    def open(cls, path: PlaceLike) -> LogReader:
         """Open a log; a pipe is copied to a temporary file first.
+
+        Of a log at a URL only what is needed is fetched.
 
         Raises:
             LogError: If it cannot be opened, or is not MCAP.
+            UsageError: If what is needed for a URL is not installed.
         """
-        source = open_source(path)
+        source = open_log_source(path)
         try:
-            return cls(source)
+            return cls(source, path)
         except BaseException:
             source.close()
             raise
@@ -380,13 +383,18 @@ class LogReader:
         """All chunks in file order; without content those not relevant and those lost."""
         position = 0
         while True:
+            self.source.expect(
+                (entry.offset, entry.offset + entry.length + entry.index_length)
+                for entry in self.index.chunks
+                if entry.offset >= position and not entry.lost and relevant(entry)
+            )
             try:
                 for entry in self.index.chunks:
                     if entry.offset >= position:
                         content = self._content(entry) if relevant(entry) else None
                         position = entry.offset + entry.length
                         yield entry, content
-            except IndexLiesError:  # noqa: PERF203 (once in a log)
+            except IndexLiesError:
                 self.damage.remark(
                     "the summary is wrong (a chunk is not what it says); the log was indexed by "
                     "reading it"
@@ -437,6 +445,17 @@ class LogReader:
         for offset in range(start, end, _BLOCK):
             crc = zlib.crc32(self.source.read(offset, min(_BLOCK, end - offset)), crc)
         return crc
+
+
+def open_log_source(path: PlaceLike) -> Source:
+    """The bytes of a log, wherever it is.
+
+    Raises:
+        LogError: If it cannot be opened, or is not MCAP.
+        UsageError: If what is needed for a URL is not installed.
+    """
+    place = place_of(path)
+    return open_remote(place) if isinstance(place, Url) else open_source(place)
 
 
 def _rows_by_channel(content: ChunkContent, wanted: Set[int]) -> Iterator[tuple[int, IntArray]]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import abc
+import hashlib
 import os
 import stat
 import tempfile
+import threading
+from collections.abc import Iterable
 from pathlib import Path
 from typing import IO
 
@@ -13,7 +17,7 @@ from mclass.logs.in_place import recover
 
 MAGIC = b"\x89MCAP0\r\n"
 
-_BLOCK = 1 << 16
+_HASH_BLOCK = 1 << 20
 _SPOOL_BLOCK = 1 << 20
 
 _OTHER_FORMATS = (
@@ -28,35 +32,89 @@ _OTHER_FORMATS = (
 )  # fmt: skip
 
 
-class Source:
+class Source(abc.ABC):
     """Random access to the bytes of an open log.
 
     Attributes:
         name: The log's name for messages.
         size: Bytes in it when it was opened.
+        block: Bytes that `peek` reads at least.
     """
 
-    def __init__(self, file: IO[bytes], name: str, size: int) -> None:
-        self._file = file
+    block = 1 << 16
+
+    def __init__(self, name: str, size: int) -> None:
         self.name = name
         self.size = size
         self._block = b""
         self._block_offset = 0
 
+    @abc.abstractmethod
     def read(self, offset: int, length: int) -> bytes:
-        """Bytes from ``offset``; fewer than ``length`` only where the file ends.
+        """Bytes from ``offset``; fewer than ``length`` only where the log ends.
+
+        Raises:
+            LogError: If the disk or the store fails.
+        """
+
+    def peek(self, offset: int, length: int) -> bytes:
+        """As ``read``, for the small reads of a walk along records: whole blocks are kept."""
+        start = offset - self._block_offset
+        if start < 0 or start + length > len(self._block):
+            self._block = self.read(offset, max(length, self.block))
+            self._block_offset, start = offset, 0
+        return self._block[start : start + length]
+
+    def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
+        """Say which bytes are read next, so that what is far away can be fetched in time.
+
+        Args:
+            ranges: Begin and end of each, by increasing begin.
+        """
+        del ranges  # a disk needs no notice
+
+    @abc.abstractmethod
+    def hash(self) -> str:
+        """What tells this content from any other; empty if there is no such thing.
+
+        ``sha256:`` and the hash of a file; for a URL the version that its store tells.
 
         Raises:
             LogError: If the disk fails.
         """
+
+    @property
+    def descriptor(self) -> int | None:
+        """Of the file, for copies inside the kernel; None if there is none."""
+        return None
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """Let go of the log; harmless when done twice."""
+
+
+class FileSource(Source):
+    """A log in a file. Threads may read at the same time.
+
+    Args:
+        file: Open for reading, unbuffered.
+        name: The log's name for messages.
+    """
+
+    def __init__(self, file: IO[bytes], name: str) -> None:
+        super().__init__(name, os.fstat(file.fileno()).st_size)
+        self._file = file
+        self._lock = threading.Lock()
+
+    def read(self, offset: int, length: int) -> bytes:
+        """See `Source.read`."""
         length = max(0, min(length, self.size - offset))
         if not length:
             return b""
         try:
-            self._file.seek(offset)
-            data = self._file.read(length)
+            data = self._read(offset, length)
             while len(data) < length:
-                more = self._file.read(length - len(data))
+                more = self._read(offset + len(data), length - len(data))
                 if not more:
                     break
                 data += more
@@ -64,21 +122,28 @@ class Source:
             raise LogError(f"cannot be read: {_reason(error)}.", path=self.name) from error
         return data
 
-    def peek(self, offset: int, length: int) -> bytes:
-        """As ``read``, for the small reads of a walk along records: whole blocks are kept."""
-        start = offset - self._block_offset
-        if start < 0 or start + length > len(self._block):
-            self._block = self.read(offset, max(length, _BLOCK))
-            self._block_offset, start = offset, 0
-        return self._block[start : start + length]
+    def hash(self) -> str:
+        """See `Source.hash`."""
+        digest = hashlib.sha256()
+        for offset in range(0, self.size, _HASH_BLOCK):
+            digest.update(self.read(offset, _HASH_BLOCK))
+        return f"sha256:{digest.hexdigest()}"
 
-    def fileno(self) -> int:
-        """Descriptor, for copies inside the kernel."""
+    @property
+    def descriptor(self) -> int | None:
+        """See `Source.descriptor`."""
         return self._file.fileno()
 
     def close(self) -> None:
-        """Close the file; harmless when done twice."""
+        """See `Source.close`."""
         self._file.close()
+
+    def _read(self, offset: int, length: int) -> bytes:
+        if hasattr(os, "pread"):
+            return os.pread(self._file.fileno(), length, offset)
+        with self._lock:
+            self._file.seek(offset)
+            return self._file.read(length)
 
 
 def open_source(path: str | os.PathLike[str]) -> Source:
@@ -102,9 +167,8 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         file = open(name, "rb", buffering=0)  # noqa: SIM115 (the source keeps it)
         if stat.S_ISFIFO(mode):
             file = _spool(file, name)
-        size = os.fstat(file.fileno()).st_size
-        source = Source(file, name, size)
-        _check_magic(source)
+        source = FileSource(file, name)
+        check_magic(source)
     except OSError as error:
         if file is not None:
             file.close()
@@ -140,7 +204,12 @@ def _spool(pipe: IO[bytes], name: str) -> IO[bytes]:
     return spool
 
 
-def _check_magic(source: Source) -> None:
+def check_magic(source: Source) -> None:
+    """Refuse what is not MCAP.
+
+    Raises:
+        LogError: If it is not; says what it is instead.
+    """
     head = source.read(0, 64)
     # A file that is whole but for a bit of its first bytes can be read all the same.
     ends_well = source.read(max(source.size - len(MAGIC), 0), len(MAGIC)) == MAGIC

@@ -64,6 +64,7 @@ def read_summary(source: Source) -> Summary | None:
         return None
     if not len(MAGIC) < start <= footer_start:
         raise MalformedError("its place is outside of the file")
+    source.expect([(start, source.size)])
     summary = _parse(source, start, offsets_start or footer_start, footer_start)
     if crc and crc != _checksum(source, start, source.size - len(MAGIC) - 4):
         raise MalformedError("its checksum does not match")

@@ -51,6 +51,7 @@ from mclass.logs.in_place import InPlaceFile
 from mclass.logs.pending import PendingFile
 from mclass.logs.reader import LogReader
 from mclass.logs.source import MAGIC
+from mclass.logs.uploads import UploadFile, pending_file
 from mclass.logs.wire import (
     MESSAGE_HEAD,
     RECORD_HEAD,
@@ -63,6 +64,7 @@ from mclass.logs.wire import (
     pack_string,
     walk,
 )
+from mclass.places import PlaceLike, place_of
 from mclass.records import IntArray
 
 _LIBRARY = "mclass"
@@ -98,7 +100,7 @@ class LogWriter:
     nothing. The same calls give the same bytes.
 
     Args:
-        output: Path of the log.
+        output: Path of the log, or its URL.
         source: Log whose data is carried over first; None for a new log.
         profile: Of a new log; a source keeps its own.
         overwrite: Whether a file of that name may be replaced.
@@ -112,7 +114,7 @@ class LogWriter:
 
     def __init__(
         self,
-        output: str | Path,
+        output: PlaceLike,
         *,
         source: LogReader | None = None,
         profile: str = "",
@@ -121,18 +123,18 @@ class LogWriter:
         in_place: bool = False,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        self.path = Path(output)
+        self.path = place_of(output)
         self._source = source if carry_over else None
         self._profile = profile
         self._progress = progress
-        self._file: PendingFile | InPlaceFile
+        self._file: PendingFile | UploadFile | InPlaceFile
         if in_place:
             assert source is not None
             _refuse_broken(source)
-            self._file = InPlaceFile(self.path, source.index.data_end)
+            self._file = InPlaceFile(Path(str(self.path)), source.index.data_end)
         else:
             reader_source = None if source is None else source.source
-            self._file = PendingFile(self.path, overwrite=overwrite, source=reader_source)
+            self._file = pending_file(self.path, overwrite=overwrite, source=reader_source)
         self._position = 0
         self._crc: int | None = 0
         self._contents = Contents()

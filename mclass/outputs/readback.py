@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
@@ -25,6 +24,7 @@ from mclass.outputs.values import (
     estimate_from,
     measurements_from,
 )
+from mclass.places import PlaceLike
 from mclass.records import LabelMeasurements
 from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
 
@@ -87,7 +87,7 @@ class OutputLog:
             raise LogError(_NO_CHANNELS, path=self._path)
 
     @classmethod
-    def open(cls, path: str | os.PathLike[str]) -> OutputLog:
+    def open(cls, path: PlaceLike) -> OutputLog:
         """Open an output; it is a context manager that closes it.
 
         Raises:
