@@ -67,7 +67,8 @@ def object_history(problem: Problem, grid: Grid, cell: int, object_id: str) -> l
     """A cell after each look at one object, given that it stands there, evaluated exactly."""
     index = problem.measurements.object_ids.index(object_id)
     owners = problem.measurements.object_index[problem.used]
-    looks = object_looks(problem.looks, problem.used[owners == index])
+    known = object_id in problem.model.objects
+    looks = object_looks(problem.looks, problem.used[owners == index], known=known)
     pairs = looks.pairs(grid.centers(np.array([cell])), grid.cell_size)
     return _history(problem, grid, cell, pairs)
 

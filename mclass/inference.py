@@ -189,7 +189,7 @@ def estimate_objects(
         trackers = [
             ObjectFilter(
                 variant.engine,
-                object_looks(variant.looks, rows, shares),
+                object_looks(variant.looks, rows, shares, known=candidates.known),
                 candidates,
                 model.classes.log_priors,
             )

@@ -147,6 +147,7 @@ class ObjectLooks:
         rivals: Detections of anything else, by frame: where they point the object may be
             hidden, or be what was detected, (r,).
         shares: How much of each look belongs to the object, (l,).
+        known: The object's position is known: its detections are of it wherever they point.
     """
 
     looks: Looks
@@ -155,6 +156,7 @@ class ObjectLooks:
     silent: BoolArray
     rivals: IntArray
     shares: FloatArray
+    known: bool = False
 
     @property
     def n_steps(self) -> int:
@@ -186,7 +188,18 @@ class ObjectLooks:
         log_factor = np.zeros(seen.inside.shape)
         pointed = np.flatnonzero(located)
         log_factor[:, pointed] = self._log_factor(seen.select_looks(pointed), rows[pointed])
-        return Concern(seen, speaks, is_detection, located, log_factor)
+        belongs = np.ones(seen.inside.shape)
+        if self.looks.settings.probabilities and not self.known and len(pointed):
+            floor = self.looks.settings.log_outside
+            own = np.expm1(floor - log_factor[:, pointed]) / np.expm1(floor)
+            belongs[:, pointed] = own
+            if not is_detection.all():
+                # Its frame, which is the next look, may have shown the object without a label.
+                told = pointed + 1
+                shown = self._could_show(seen.select_looks(told), rows[told])
+                belongs[:, told] = np.where(shown, 1.0, own)
+            speaks &= belongs > 0.0
+        return Concern(seen, speaks, is_detection, located, log_factor, belongs)
 
     def pairs(self, centers: FloatArray, cell_size: float) -> Pairs:
         """All looks at cells where the object is taken to be, weighed; (m, 2) centres [m]."""
@@ -202,7 +215,7 @@ class ObjectLooks:
             column = np.searchsorted(
                 self.looks.frames[self.rows[frames]], self.looks.frames[self.rows]
             )
-            scale = [weights[:, column] * self.shares]
+            scale = [weights[:, column] * self.shares * concern.belongs]
         return joined_pairs([concern.seen], [self.rows], [concern.speaks], scale)
 
     def _log_factor(self, seen: Sight, rows: IntArray) -> FloatArray:
@@ -254,6 +267,8 @@ class Concern:
         is_detection: Detections, not frames.
         located: Detections that point somewhere.
         log_factor: What it costs a cell that a detection points elsewhere.
+        belongs: How likely each look is of what stands in the cell: a detection that points
+            elsewhere is of something else, and its labels say nothing about this cell.
     """
 
     seen: Sight
@@ -261,10 +276,16 @@ class Concern:
     is_detection: BoolArray
     located: BoolArray
     log_factor: FloatArray
+    belongs: FloatArray
 
 
 def object_looks(
-    looks: Looks, detections: IntArray, shares: FloatArray | None = None, *, silence: bool = True
+    looks: Looks,
+    detections: IntArray,
+    shares: FloatArray | None = None,
+    *,
+    silence: bool = True,
+    known: bool = False,
 ) -> ObjectLooks:
     """The looks at an object.
 
@@ -273,6 +294,7 @@ def object_looks(
         detections: Those of the object by frame, at most one a frame.
         shares: How much of each belongs to it, (k,); all when None.
         silence: Take in the frames too, where silence is evidence.
+        known: The object's position is known.
     """
     shares = np.ones(len(detections)) if shares is None else shares
     frames = np.zeros(0, dtype=np.int64)
@@ -290,4 +312,5 @@ def object_looks(
         silent=(rows >= looks.n_detections) & ~np.isin(looks.frames[rows], own),
         rivals=np.setdiff1d(np.arange(looks.n_detections), detections),
         shares=np.concatenate([shares, np.ones(len(frames))])[order],
+        known=known,
     )

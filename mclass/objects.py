@@ -191,7 +191,7 @@ class ObjectFilter:
     def _scale(self, concern: Concern, shares: FloatArray) -> FloatArray | None:
         """Weight of every look at every cell, (k, l); None for one each."""
         if self._lattice is None:
-            whole = bool((shares == 1.0).all())
+            whole = bool((shares == 1.0).all() and (concern.belongs == 1.0).all())
             return None if whole else np.broadcast_to(shares, concern.speaks.shape)
         shape = concern.speaks.shape
         cells = np.repeat(self._lattice_cells, shape[1])
@@ -261,7 +261,7 @@ class ObjectFilter:
             looks=self.looks.rows[part][column],
             ranges=concern.seen.ranges[at, column],
             directions=concern.seen.directions[at, column],
-            scale=None if scale is None else scale[at, column],
+            scale=None if scale is None else scale[at, column] * concern.belongs[at, column],
         )
         exact = self.candidates.known
         return self.engine.exact_evidence(pairs) if exact else self.engine.evidence(pairs)
