@@ -315,6 +315,23 @@ def test_bytes_by_hand() -> None:
     assert nested(columns.values["last"]) == [0x1234] * 2
 
 
+def test_an_array_of_nothing_is_there_wherever_it_stands() -> None:
+    schema = f"Inner inner\nbyte[0] none\n{'=' * 80}\nMSG: pkg/Inner\nint8 number\nbyte[0] none"
+    source = channel("cdr", "pkg/msg/Root", f"string name\n{schema}", "ros2msg")
+    columns = decoder_for(source).columns(
+        batch(source, [b"\0\1\0\0" + b"\1\0\0\0\0" + b"\7"]),
+        ["none", "inner.none", "inner.number"],
+    )
+    assert {path: nested(column) for path, column in columns.values.items()} == {
+        "none": [[]],
+        "inner.none": [[]],
+        "inner.number": [7],
+    }
+    last = channel("cdr", "pkg/msg/Root", "string name\nbyte[0] none", "ros2msg")
+    columns = decoder_for(last).columns(batch(last, [b"\0\1\0\0" + bytes(4)]), ["none"])
+    assert nested(columns.values["none"]) == [[]]
+
+
 def _patched(at: int, value: bytes) -> bytes:
     return LITTLE[:at] + value + LITTLE[at + len(value) :]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -402,6 +403,53 @@ def test_messages_that_contradict_themselves_are_refused(
         OutputLog.open(tmp_path / "out.mcap") as output,
         pytest.raises(LogError, match=r"out\.mcap: log_cell_mass has 3 numbers, not \(2,\)"),
     ):
+        output.belief()
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"probabilities": (1.5, 0.3, 0.2)}, "1.5, outside [0, 1]"),
+        ({"probabilities": (0.5, -0.1, 0.6)}, "-0.1, outside [0, 1]"),
+        ({"position": (0.0, float("-inf"))}, "-inf, outside"),
+        ({"modes": (mode(1e300, 1.0, 3.0),)}, "outside [-10, 10]"),
+        ({"modes": (mode(1.0, 2.0, 3.0),)}, "2.0, outside [0, 1]"),
+        ({"modes": (mode(1.0, 1.0, -3.0),)}, "outside [0, inf]"),
+    ],
+)
+def test_objects_with_impossible_numbers_are_refused(
+    changed: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    with LogWriter(tmp_path / "out.mcap") as writer:
+        channels = OutputChannels(writer, "protobuf", "odom", model())
+        channels.write_header(0)
+        channels.write_objects([estimate(**changed)], LOG_TIME_NS, STAMP_NS)
+    with (
+        OutputLog.open(tmp_path / "out.mcap") as output,
+        pytest.raises(LogError, match=f"object 'o1' holds .*{re.escape(said)}"),
+    ):
+        output.objects()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("log_cell_mass", 0.5, "log_cell_mass holds 0.5"),
+        ("log_density", np.inf, "log_density holds inf"),
+        ("log_density", -np.inf, "the greatest log_density holds -inf"),
+        ("log_class_probability", -np.inf, "the greatest log_class_probability holds -inf"),
+    ],
+)
+def test_beliefs_with_impossible_numbers_are_refused(
+    name: str, value: float, said: str, tmp_path: Path
+) -> None:
+    block = belief("", 1)[0]
+    broken = replace(block, **{name: np.full_like(getattr(block, name), value)})
+    with LogWriter(tmp_path / "out.mcap") as writer:
+        channels = OutputChannels(writer, "ros2", "odom", model())
+        channels.write_header(0)
+        channels.write_belief(broken)
+    with OutputLog.open(tmp_path / "out.mcap") as output, pytest.raises(LogError, match=said):
         output.belief()
 
 

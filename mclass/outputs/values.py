@@ -21,6 +21,15 @@ from mclass.results import BeliefBlock, ObjectEstimate, OrientationMode
 ROWS_PER_MESSAGE = 5000
 """Measurements, and frames, in one message."""
 
+_FARTHEST = 1e15
+"""Positions of ours are nearer [m]."""
+_WIDEST = 10.0
+"""Angles of ours are smaller [rad]."""
+_ROUNDING = 1e-6
+"""By how much a probability can exceed 1."""
+_DENSEST = 100.0
+"""Logarithms of densities are smaller; without bound below, but not all of them."""
+
 
 def refuse_nan(what: str, *arrays: npt.NDArray[Any]) -> None:
     """Let no NaN out.
@@ -30,6 +39,20 @@ def refuse_nan(what: str, *arrays: npt.NDArray[Any]) -> None:
     """
     if any(np.isnan(array).any() for array in arrays):
         raise ModelError(f"{what} holds a value that is not a number; it is not written")
+
+
+def _refuse_impossible(
+    what: str, numbers: npt.ArrayLike, low: float = -_FARTHEST, high: float = _FARTHEST
+) -> None:
+    """Let no number in that an output of ours cannot hold, NaN least of all.
+
+    Raises:
+        LogError: If there is one.
+    """
+    values = np.asarray(numbers, dtype=np.float64)
+    wrong = values[~((values >= low) & (values <= high))]
+    if wrong.size:
+        raise LogError(f"{what} holds {wrong[0]}, outside [{low:g}, {high:g}]")
 
 
 def estimate_value(estimate: ObjectEstimate, class_names: Sequence[str]) -> dict[str, Any]:
@@ -87,18 +110,30 @@ def estimate_from(value: Mapping[str, Any], class_names: Sequence[str]) -> Objec
     """The object that `estimate_value` described.
 
     Raises:
-        LogError: If it names a class that is not among ``class_names``.
+        LogError: If it names a class that is not among ``class_names``, or holds an impossible
+            number.
     """
+    what = f"object {value['id'][:80]!r}"
 
     def index(name: str) -> int:
         if name not in class_names:
-            raise LogError(f"object {value['id'][:80]!r} names the unknown class {name!r}")
+            raise LogError(f"{what} names the unknown class {name!r}")
         return class_names.index(name)
 
     classes = value["classes"]
     if [entry["name"] for entry in classes] != [BACKGROUND, *class_names]:
-        raise LogError(f"object {value['id'][:80]!r} has other classes than the log's model")
+        raise LogError(f"{what} has other classes than the log's model")
     joint = value["joint_maximum"]
+    modes = value["modes"]
+    poses = (*classes, joint)
+    shares = [entry["probability"] for entry in classes] + [mode["mass"] for mode in modes]
+    _refuse_impossible(what, shares, 0.0, 1.0 + _ROUNDING)
+    _refuse_impossible(what, [entry[axis] for entry in (value, *poses) for axis in "xy"])
+    _refuse_impossible(
+        what, [entry["orientation"] for entry in (*poses, *modes)], -_WIDEST, _WIDEST
+    )
+    stds = [value["x_std"], value["y_std"], *(mode["std"] for mode in modes)]
+    _refuse_impossible(what, stds, 0.0, np.inf)
     return ObjectEstimate(
         object_id=value["id"],
         stamp_ns=value["stamp_ns"],
@@ -114,8 +149,7 @@ def estimate_from(value: Mapping[str, Any], class_names: Sequence[str]) -> Objec
             [(entry["x"], entry["y"], entry["orientation"]) for entry in classes[1:]]
         ),
         modes=tuple(
-            OrientationMode(mode["orientation"], mode["mass"], mode["std"])
-            for mode in value["modes"]
+            OrientationMode(mode["orientation"], mode["mass"], mode["std"]) for mode in modes
         ),
         joint_map=(index(joint["class_name"]), joint["x"], joint["y"], joint["orientation"]),
     )
@@ -158,7 +192,8 @@ def belief_from(value: Mapping[str, Any], class_names: Sequence[str]) -> BeliefB
     """The block that `belief_value` described; arrays are views where they can be.
 
     Raises:
-        LogError: If the arrays do not fit each other, the grid or the classes.
+        LogError: If the arrays do not fit each other, the grid or the classes, or hold an
+            impossible number.
     """
     cells = len(value["cells"])
     classes = len(class_names) + 1
@@ -171,6 +206,11 @@ def belief_from(value: Mapping[str, Any], class_names: Sequence[str]) -> BeliefB
         "measurements": (cells,),
     }
     arrays = {name: _shaped(value, name, shape) for name, shape in shapes.items()}
+    _refuse_impossible("log_cell_mass", arrays["log_cell_mass"], -np.inf, _ROUNDING)
+    for name, high in (("log_class_probability", _ROUNDING), ("log_density", _DENSEST)):
+        _refuse_impossible(name, arrays[name], -np.inf, high)
+        peaks = arrays[name].max(axis=-1, initial=-np.inf)
+        _refuse_impossible(f"the greatest {name}", peaks, -_DENSEST, high)
     grid = checked_grid(
         (value["origin_x"], value["origin_y"]), value["cell_size"], value["rows"], value["columns"]
     )
