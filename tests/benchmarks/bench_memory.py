@@ -18,6 +18,7 @@ def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
     rows = []
     for pairs, images, cell_size, bins in CASES:
         log, output, model = folder / "log.mcap", folder / "out.mcap", folder / "model.yaml"
+        log.unlink(missing_ok=True)
         generated.write_ros(log, pairs, boxes=1, ids=False, images=images, size=2**20)
         text = generated.MODEL.replace("cell_size: 0.1", f"cell_size: {cell_size}")
         model.write_text(text.replace("orientation_bins: 72", f"orientation_bins: {bins}"))
