@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from fuzz import targets
 from log_bytes import KINDS
 from mcap.writer import Writer
 
+from fuzz import targets
 from mclass.logs.reader import LogReader
 
 _ROOT = Path(__file__).parents[2]
@@ -33,7 +33,7 @@ def _logs() -> Iterator[bytes]:
 def _small_log(options: Mapping[str, Any]) -> bytes:
     """A few chunks, two channels, an attachment and a metadata record in about a kilobyte."""
     stream = io.BytesIO()
-    writer = Writer(stream, chunk_size=60, **options)
+    writer = Writer(stream, chunk_size=90, **options)
     writer.start("ros2", "test")
     schema = writer.register_schema("pkg/msg/A", "ros2msg", b"float64 x")
     channels = [
