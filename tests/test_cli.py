@@ -487,6 +487,28 @@ class TestInspectObjects:
         assert "Error: " in result.stderr
         assert "This is a bug" not in result.stderr
         assert not (tmp_path / name).exists()
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize("name", ["picture.gif", "nowhere/picture.png", "folder.png"])
+    def test_plots_are_refused_before_the_work(self, name: str, tmp_path: Path) -> None:
+        (tmp_path / "folder.png").mkdir()
+        out = tmp_path / "out.mcap"
+        command = ("estimate", CAS_LAB, "-o", out, "--plot", tmp_path / name)
+        result = CliRunner().invoke(main, [str(argument) for argument in command])
+        assert result.exit_code in (1, 2)
+        assert result.stdout == ""
+        assert "Error: " in result.stderr
+        assert [path.name for path in tmp_path.iterdir()] == ["folder.png"]
+
+    def test_without_matplotlib_nothing_is_done(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        for name in [name for name in sys.modules if name.startswith("mclass.plot")]:
+            monkeypatch.delitem(sys.modules, name)
+        monkeypatch.setitem(sys.modules, "matplotlib", None)
+        command = ("estimate", CAS_LAB, "-o", tmp_path / "o.mcap", "--plot", tmp_path / "p.png")
+        assert "mclass[plot]" in mclass(*command, code=2).stderr
+        assert list(tmp_path.iterdir()) == []
 
 
 class TestInspectCell:

@@ -18,13 +18,15 @@ from mclass.errors import ConfigError, LogError
 from mclass.evaluation.density import JointDensity, joint_density
 from mclass.evaluation.outputs import score_output
 from mclass.evaluation.scores import MAX_LOG_LOSS, LogScore, assign, score_log
-from mclass.evaluation.summary import evaluate
+from mclass.evaluation.summary import METRICS, evaluate
 from mclass.evaluation.truth import Truth, load_truth, parse_truth
 from mclass.footprint import Grid
 from mclass.results import BeliefBlock, ObjectEstimate, OrientationMode
 from mclass.simulation.scenario_file import load_scenario
 from mclass.simulation.world import simulate
 from mclass.simulation.write import write_log
+from mclass.text.evaluations import evaluation_text
+from mclass.text.terminal import Terminal
 
 ROOT = Path(__file__).parent.parent
 CLASSES = ("cup", "mug")
@@ -255,6 +257,18 @@ class TestSummary:
         assert figure.low == 0.0
         assert figure.high == 0.5
         assert evaluate(logs).figures == evaluate(logs).figures
+
+    @pytest.mark.parametrize("width", [80, 60])
+    def test_text_cuts_nothing(self, width: int) -> None:
+        evaluation = evaluate([self.log("a_rather_long_name.mclass.mcap", 10.0, 170.0)] * 2)
+        text = evaluation_text(evaluation, [], Terminal(width=width))
+        assert "…" not in text
+        words = " ".join(text.split())
+        for name, metric in METRICS.items():
+            assert name in words
+            assert metric.meaning in words
+        assert "a_rather_long_name.mclass.mcap" in words
+        assert max(map(len, text.split("\n"))) <= width
 
     def test_nothing_matched(self) -> None:
         evaluation = evaluate([LogScore("none", (), ("x",), ())])

@@ -132,13 +132,12 @@ def estimate(
         from mclass.text.terminal import Terminal
 
         click.echo(estimate_text(**facts, terminal=Terminal.of(sys.stdout)))
-    if plot_path is not None:
-        from mclass.errors import UsageError
+    if plot_path is not None and found.maps is None:
+        click.echo("Warning: nothing to draw: no detection points anywhere on the grid", err=True)
+    elif plot_path is not None and found.maps is not None:
         from mclass.plot.maps import map_figure, ray_segments
         from mclass.plot.style import save_figure
 
-        if found.maps is None:
-            raise UsageError("nothing to draw: no detection points anywhere on the grid")
         figure = map_figure(
             found.maps,
             found.class_names,

@@ -88,23 +88,24 @@ def inspect_objects(out: Place, history: bool, output_format: str, plot_path: Pa
     from mclass.text.documents import objects_json
     from mclass.text.objects import objects_text
     from mclass.text.terminal import Terminal
+    from mclass.text.values import natural
 
     with OutputLog.open(out) as output:
         objects, names, frame = output.objects(), output.class_names, output.frame
         past = output.history() if history else None
-    if output_format == "json":
-        echo_json(objects_json(objects, names, frame, past))
-    else:
-        terminal = Terminal.of(sys.stdout)
-        click.echo(objects_text(objects, names, frame, terminal))
-        for object_id, steps in (past or {}).items():
-            click.echo(f"\nobject {terminal.clean(object_id)}")
-            click.echo(history_text(steps, names, terminal))
     if plot_path is not None:
         from mclass.plot.maps import objects_figure
         from mclass.plot.style import save_figure
 
         save_figure(objects_figure(objects, names, frame), plot_path)
+    if output_format == "json":
+        echo_json(objects_json(objects, names, frame, past))
+    else:
+        terminal = Terminal.of(sys.stdout)
+        click.echo(objects_text(objects, names, frame, terminal))
+        for object_id, steps in sorted((past or {}).items(), key=lambda item: natural(item[0])):
+            click.echo(f"\nobject {terminal.clean(object_id)}")
+            click.echo(history_text(steps, names, terminal))
 
 
 @inspect.command(
@@ -147,13 +148,6 @@ def inspect_cell(
     found = look_into(out, x, y, object_id, history=history or plot_path is not None)
     names = found.class_names
     shown = found.history if history else None
-    if output_format == "json":
-        echo_json(cell_json(found.report, names, shown))
-    else:
-        terminal = Terminal.of(sys.stdout)
-        click.echo(cell_text(found.report, names, found.frame, terminal, object_id))
-        if shown is not None:
-            click.echo("\n" + history_text(shown, names, terminal))
     if plot_path is not None:
         from mclass.plot.orientation import cell_figure, orientation_figure
         from mclass.plot.style import save_figure
@@ -164,6 +158,13 @@ def inspect_cell(
         else:
             figure = cell_figure(found.report, names, found.frame, object_id)
         save_figure(figure, plot_path)
+    if output_format == "json":
+        echo_json(cell_json(found.report, names, shown))
+    else:
+        terminal = Terminal.of(sys.stdout)
+        click.echo(cell_text(found.report, names, found.frame, terminal, object_id))
+        if shown is not None:
+            click.echo("\n" + history_text(shown, names, terminal))
 
 
 @inspect.command("model", short_help="A model's likelihood fields.")
@@ -183,10 +184,6 @@ def inspect_model(model: Path, output_format: str, plot_path: Path | None) -> No
     from mclass.text.terminal import Terminal
 
     loaded = load_model(model)
-    if output_format == "json":
-        echo_json(model_json(loaded))
-    else:
-        click.echo(model_text(loaded, Terminal.of(sys.stdout)))
     if plot_path is not None:
         from mclass.model import LENGTH_UNITS
         from mclass.plot.likelihood import likelihood_figure
@@ -194,3 +191,7 @@ def inspect_model(model: Path, output_format: str, plot_path: Path | None) -> No
 
         unit = (loaded.length_unit, LENGTH_UNITS[loaded.length_unit])
         save_figure(likelihood_figure(loaded.classes, unit=unit), plot_path)
+    if output_format == "json":
+        echo_json(model_json(loaded))
+    else:
+        click.echo(model_text(loaded, Terminal.of(sys.stdout)))

@@ -45,10 +45,10 @@ def format_option(command: Command) -> Command:
 
 def _drawable(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
     """Refuse a picture that cannot be drawn before any work is done."""
-    if path is not None:
-        from mclass.plot.style import figure_format
+    if path is not None and not ctx.resilient_parsing:
+        from mclass.plot.style import require_savable
 
-        figure_format(path)
+        require_savable(path)
     return path
 
 

@@ -215,8 +215,9 @@ background: {prior: 1, likelihood: 0.01}
 _VIEWPOINTS = _block("""
 
 # Where the SENSOR stands when an object is recognised, as Gaussians in the object's own frame:
-# the object at [0, 0], its front facing along +y. An object's orientation is the angle by
-# which this frame is turned in the world. `covariance` is a variance, [xx, yy], or a matrix
+# the object at [0, 0]. An object's orientation is the angle of its x axis in the world, and
+# arrows point along that axis. Which side is the front is yours to choose: here it is +y, so an
+# object of orientation 0 faces 90 degrees. `covariance` is a variance, [xx, yy], or a matrix
 # [[xx, xy], [xy, yy]]. A variance of 0.3 at 1.3 m means, to one standard deviation, seen from
 # 0.75 to 1.85 m away and from 23 degrees to either side.
 viewpoints:

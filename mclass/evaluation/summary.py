@@ -52,13 +52,13 @@ class Evaluation:
 
 METRICS: Mapping[str, Metric] = {
     "class_accuracy": Metric("share", "right class named"),
-    "orientation_error_deg": Metric("number", "median"),
-    "orientation_error_90_deg": Metric("number", "90th percentile"),
+    "orientation_error_deg": Metric("number", "highest mode, median"),
+    "orientation_error_90_deg": Metric("number", "90th percentile of it"),
     "symmetric_error_deg": Metric("number", "up to symmetry, median"),
-    "symmetric_error_90_deg": Metric("number", "90th percentile"),
-    "mode_error_deg": Metric("number", "of the nearest mode, median"),
+    "symmetric_error_90_deg": Metric("number", "90th percentile of it"),
+    "mode_error_deg": Metric("number", "nearest mode, median"),
     "position_error": Metric("number", "mean distance [m]"),
-    "log_loss": Metric("number", "-log P(class, phi) [per rad]"),
+    "log_loss": Metric("number", "-log P(class, phi) [/rad]"),
     "brier": Metric("number", "of class probabilities"),
     "calibration_error": Metric("number", "of P(named class)"),
     "coverage_50": Metric("share", "phi in the 50 % region"),

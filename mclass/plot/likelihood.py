@@ -27,8 +27,9 @@ def likelihood_figure(
 ) -> Figure:
     """p(label | class) by sensor position in the object's frame, a panel a pair.
 
-    The object stands at the origin and faces along its x axis, as its arrow does. All panels
-    share one scale; the line is half of a panel's own peak. Bearings are taken as 0.
+    The object stands at the origin. Its arrow is its x axis: the angle of that in the world is
+    its orientation, whichever of its sides a model file calls the front. All panels share one
+    scale; the line is half of a panel's own peak. Bearings are taken as 0.
 
     Args:
         model: The classes.
@@ -108,7 +109,11 @@ def likelihood_figure(
         figure.colorbar(image, ax=list(panels), label=f"likelihood [{density_unit}]", aspect=40)
     bearing = ", at bearing 0" if model.has_bearing else ""
     figure.suptitle(f"Likelihood of each label by sensor position{bearing}")
-    figure.supxlabel("object at 0, arrow: its facing; +: viewpoints; line: half the panel's peak")
+    figure.supxlabel(
+        "object at 0, seen from above; arrow: its x axis, whose angle in the world is its "
+        "orientation\n+: viewpoints; line: half the panel's peak",
+        fontsize="small",
+    )
     return figure
 
 
@@ -132,7 +137,7 @@ def _half_peak_line(axes: Axes, axis: FloatArray, field: FloatArray) -> None:
 
 
 def _draw_object(axes: Axes, reach: float) -> None:
-    """The object at the origin, and where it faces."""
+    """The object at the origin, and its x axis."""
     axes.plot(0.0, 0.0, "o", color="black", markersize=4, path_effects=halo())
     axes.annotate(
         "",

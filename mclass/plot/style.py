@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import math
 import os
@@ -75,6 +76,29 @@ def figure_format(path: str | os.PathLike[str]) -> str:
     return suffix.lower().lstrip(".")
 
 
+def require_savable(path: str | os.PathLike[str]) -> None:
+    """Refuse a file name that no figure can be saved under, before work is spent on one.
+
+    Raises:
+        UsageError: If the suffix is none of .png, .svg, .pdf.
+        MclassError: If the file cannot be written.
+    """
+    figure_format(path)
+    part = _part_of(path)
+    try:
+        if Path(path).is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        part.touch()
+        part.unlink()
+    except OSError as error:
+        raise MclassError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _part_of(path: str | os.PathLike[str]) -> Path:
+    """Where a figure grows before it takes its name."""
+    return Path(path).with_name(Path(path).name + ".part")
+
+
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure as its suffix says; the same figure gives the same bytes.
 
@@ -88,8 +112,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
         MclassError: If the file cannot be written.
     """
     kind = figure_format(path)
-    target = Path(path)
-    part = target.with_name(target.name + ".part")
+    target, part = Path(path), _part_of(path)
     try:
         with matplotlib.style.context(dict(_STYLE), after_reset=True):
             figure.savefig(part, format=kind, dpi=_DOTS_PER_INCH, metadata=dict(_METADATA[kind]))

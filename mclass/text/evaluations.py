@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mclass.evaluation.scores import LogScore, ObjectScore
 from mclass.evaluation.summary import METRICS, Evaluation, Figure
@@ -13,6 +14,7 @@ from mclass.text.terminal import Terminal, table, wrap
 from mclass.text.values import count_text
 
 _LISTED = 50
+_NARROWEST_MEANING = 20
 
 
 def evaluation_text(evaluation: Evaluation, failures: Sequence[str], terminal: Terminal) -> str:
@@ -26,24 +28,17 @@ def evaluation_text(evaluation: Evaluation, failures: Sequence[str], terminal: T
     logs = evaluation.logs
     objects = sum(len(log.objects) for log in logs)
     lines = [f"{count_text(len(logs), 'log')}, {count_text(objects, 'object')} matched", ""]
-    rows = [
-        [name, _value(name, figure.value), _interval(name, figure), METRICS[name].meaning]
-        for name, figure in evaluation.figures.items()
-    ]
-    interval = "95 %" if len(logs) > 1 else ""
-    lines += table(["figure", "value", interval, ""], rows, "<><<", terminal, elastic=(3,))
+    lines += _figure_lines(evaluation, terminal)
     if evaluation.confusion:
         rows = [
             [terminal.clean(true), terminal.clean(named), str(count)]
             for (true, named), count in sorted(evaluation.confusion.items())
         ]
         lines += ["", *table(["true class", "named", "objects"], rows, "<<>", terminal, (0, 1))]
-    rows = [_object_row(log, score, terminal) for log in logs for score in log.objects]
-    if rows:
-        headings = ["log", "object", "class", "P", "turned", "off [m]", "in HDR"]
-        lines += ["", *table(headings, rows[:_LISTED], "<<<>>>>", terminal, elastic=(0, 1, 2))]
-        if len(rows) > _LISTED:
-            lines.append(f"+ {len(rows) - _LISTED} more; --format json lists all")
+    if objects:
+        lines += ["", *_object_lines(logs, terminal)]
+        if objects > _LISTED:
+            lines.append(f"+ {objects - _LISTED} more; --format json lists all")
     for log in logs:
         for what, ids in (("missed", log.missed), ("invented", log.invented)):
             if ids:
@@ -54,6 +49,40 @@ def evaluation_text(evaluation: Evaluation, failures: Sequence[str], terminal: T
         for failure in failures:
             lines += [terminal.paint(line, "warning") for line in wrap(failure, terminal, "  ")]
     return "\n".join(lines)
+
+
+def _figure_lines(evaluation: Evaluation, terminal: Terminal) -> list[str]:
+    """Figures with what they mean beside them, or below where there is no room."""
+    interval = "95 %" if len(evaluation.logs) > 1 else ""
+    headings = ["figure", "value", interval]
+    figures = {
+        name: [name, _value(name, figure.value), _interval(name, figure)]
+        for name, figure in evaluation.figures.items()
+    }
+    widths = [max(map(len, column)) for column in zip(headings, *figures.values(), strict=True)]
+    room = terminal.width - sum(widths) - 2 * len(widths)
+    rows: list[list[str]] = []
+    for name, cells in figures.items():
+        meaning = METRICS[name].meaning
+        if room >= _NARROWEST_MEANING:
+            rows.append([*cells, "\n".join(wrap(meaning, replace(terminal, width=room)))])
+        else:
+            rows += [[*cells, ""], [f"  {meaning}"]]
+    return table([*headings, ""], rows, "<><<", terminal)
+
+
+def _object_lines(logs: Sequence[LogScore], terminal: Terminal) -> list[str]:
+    """Objects, under the log that they are of."""
+    rows: list[list[str]] = []
+    listed = 0
+    for log in logs:
+        scores = log.objects[: _LISTED - listed]
+        if scores:
+            rows += [[terminal.clean(log.name, terminal.width)]]
+            rows += [_object_row(score, terminal) for score in scores]
+        listed += len(scores)
+    headings = ["  object", "class", "P", "turned", "off [m]", "in HDR"]
+    return table(headings, rows, "<<>>>>", terminal, elastic=(0, 1))
 
 
 def _value(name: str, value: float | None) -> str:
@@ -68,14 +97,13 @@ def _interval(name: str, figure: Figure) -> str:
     return f"{_value(name, figure.low)} to {_value(name, figure.high)}"
 
 
-def _object_row(log: LogScore, score: ObjectScore, terminal: Terminal) -> list[str]:
+def _object_row(score: ObjectScore, terminal: Terminal) -> list[str]:
     named = score.named_class
     if score.correct < 1.0:
         sign = "=" if score.correct else "not"
         named = f"{named} ({sign} {score.true_class})"
     return [
-        terminal.clean(log.name),
-        terminal.clean(score.true_id),
+        f"  {terminal.clean(score.true_id)}",
         terminal.clean(named),
         f"{score.confidence:.3f}",
         f"{math.degrees(score.orientation_error):.1f}{terminal.sign('°')}",
