@@ -123,20 +123,24 @@ def test_logs_of_folders_patterns_and_paths(tmp_path: Path, monkeypatch: Any) ->
         Path(name).parent.mkdir(parents=True, exist_ok=True)
         Path(name).touch()
     own = Path("logs/out")
-    assert find_logs(["logs"], own) == ["logs/a.MCAP", "logs/b.mcap", "logs/deep/er/c.mcap"]
-    assert find_logs(["more/x?.mcap", "more/x1.mcap"], own) == ["more/x1.mcap", "more/x2.mcap"]
-    assert find_logs(["more/[odd].mcap"], own) == ["more/[odd].mcap"]
-    assert find_logs(["./more/../more/x1.mcap", "more/x1.mcap"], own) == ["./more/../more/x1.mcap"]
-    assert find_logs(["m*"], own) == ["more/[odd].mcap", "more/x1.mcap", "more/x2.mcap"]
-    assert find_logs(["logs/**/*.mcap"], own)[-1] == "logs/deep/er/c.mcap"
-    assert find_logs(["missing.mcap"], own) == ["missing.mcap"]
+
+    def found(*sources: str) -> list[str]:
+        return [str(log) for log in find_logs(sources, own)]
+
+    assert found("logs") == ["logs/a.MCAP", "logs/b.mcap", "logs/deep/er/c.mcap"]
+    assert found("more/x?.mcap", "more/x1.mcap") == ["more/x1.mcap", "more/x2.mcap"]
+    assert found("more/[odd].mcap") == ["more/[odd].mcap"]
+    assert found("./more/../more/x1.mcap", "more/x1.mcap") == ["more/../more/x1.mcap"]
+    assert found("m*") == ["more/[odd].mcap", "more/x1.mcap", "more/x2.mcap"]
+    assert found("logs/**/*.mcap")[-1] == "logs/deep/er/c.mcap"
+    assert found("missing.mcap") == ["missing.mcap"]
     for nothing in ("more/y*.mcap", "logs/out"):
         with pytest.raises(UsageError, match=r"nothing|no \.mcap logs"):
-            find_logs([nothing], own)
+            found(nothing)
 
 
 def test_same_stems_get_distinct_names_that_stay(tmp_path: Path) -> None:
-    logs = [str(tmp_path / name) for name in ("a/run.mcap", "b/RUN.mcap", "c/run-2.mcap")]
+    logs = [tmp_path / name for name in ("a/run.mcap", "b/RUN.mcap", "c/run-2.mcap")]
     jobs = plan(logs, tmp_path / "out", (), overwrite=False)
     names = [job.entry.name for job in jobs]
     assert names == ["run", "RUN-2", "run-2-2"]
@@ -146,14 +150,14 @@ def test_same_stems_get_distinct_names_that_stay(tmp_path: Path) -> None:
         "../c/run-2.mcap",
     ]
     known = [job.entry for job in jobs]
-    more = [str(tmp_path / "0/run.mcap"), *reversed(logs)]
+    more = [tmp_path / "0/run.mcap", *reversed(logs)]
     again = plan(more, tmp_path / "out", known, overwrite=False)
     assert [job.entry.name for job in again] == ["run-3", *reversed(names)]
 
 
 def test_a_file_that_is_not_from_the_batch_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "toy.mclass.mcap").write_text("mine")
-    logs = [str(tmp_path / "toy.mcap")]
+    logs = [tmp_path / "toy.mcap"]
     with pytest.raises(UsageError, match=r"toy\.mclass\.mcap is there.*--overwrite"):
         plan(logs, tmp_path, (), overwrite=False)
     assert len(plan(logs, tmp_path, (), overwrite=True)) == 1

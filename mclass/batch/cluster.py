@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import itertools
-import os
 from collections.abc import Generator, Iterable
 from contextlib import closing
 from dataclasses import replace
@@ -16,6 +15,7 @@ from mclass.batch.run import Executor
 from mclass.batch.work import Estimation
 from mclass.batch.workers import DiedError
 from mclass.errors import UsageError
+from mclass.places import Place, Url
 
 _PATIENCE = "10s"
 _AHEAD = 2
@@ -74,7 +74,11 @@ def on_cluster(address: str) -> Executor:
 
 def _anywhere(job: Job) -> Job:
     """The job for a process with another working directory."""
-    return replace(job, log=os.path.abspath(job.log), folder=os.path.abspath(job.folder))
+    return replace(job, log=_absolute(job.log), folder=_absolute(job.folder))
+
+
+def _absolute(place: Place) -> Place:
+    return place if isinstance(place, Url) else place.absolute()
 
 
 def _failure(error: BaseException) -> DiedError:

@@ -13,7 +13,9 @@ import numpy as np
 
 from mclass.errors import UsageError
 from mclass.findings import Estimate
-from mclass.logs.pending import PendingFile
+from mclass.logs.stores import StoreError, content_of
+from mclass.logs.uploads import pending_file
+from mclass.places import Place
 from mclass.records import FloatArray
 from mclass.text.documents import object_json
 
@@ -33,7 +35,8 @@ class LogResult:
 
     Attributes:
         name: Unique in the folder; the stem of the output.
-        input: Path of the log, relative to the folder; a URL as it is.
+        input: Path of the log, relative to the folder; a URL as it is, but for
+            what is secret.
         output: File name in the folder.
         status: How it ended.
         exit_code: That `mclass estimate` would have ended with.
@@ -199,13 +202,13 @@ def results_text(lines: Iterable[str]) -> str:
     return f'{{"format": "{_FORMAT}", "results": [\n{body}\n]}}\n'
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_whole(path: Place, text: str) -> None:
     """Write a text file that appears complete or not at all.
 
     Raises:
         LogError: If it cannot be written.
     """
-    file = PendingFile(path, overwrite=True, source=None)
+    file = pending_file(path, overwrite=True, source=None)
     try:
         file.open()
         file.write(text.encode("utf-8", "replace"))
@@ -214,17 +217,19 @@ def write_whole(path: Path, text: str) -> None:
         file.discard()
 
 
-def read_results(path: Path) -> tuple[LogResult, ...]:
+def read_results(path: Place) -> tuple[LogResult, ...]:
     """The entries of a file.
 
     Raises:
         UsageError: If it cannot be read, or is no such file.
     """
     try:
-        document = json.loads(path.read_bytes(), parse_constant=_refuse_constant)
+        document = json.loads(content_of(path), parse_constant=_refuse_constant)
         if not isinstance(document, dict) or document.get("format") != _FORMAT:
             raise ValueError(f"it does not say that its format is {_FORMAT!r}")
         return tuple(result_from(value) for value in document["results"])
+    except StoreError as error:
+        raise UsageError(str(error)) from error
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TypeAlias
 
 import mclass
@@ -28,6 +27,8 @@ from mclass.batch.record import (
 from mclass.batch.work import Estimation
 from mclass.batch.workers import DiedError, each
 from mclass.errors import LogError, UsageError
+from mclass.logs.stores import Store, size_of
+from mclass.places import Place, Url
 from mclass.rules import Rule
 
 _LEAST_PAUSE_S, _MOST_PAUSE_S = 0.5, 15.0
@@ -77,7 +78,7 @@ class Criteria:
 
 def run_batch(
     sources: Sequence[str],
-    folder: Path,
+    folder: Place,
     work: Estimation,
     *,
     processes: int | None = None,
@@ -92,8 +93,8 @@ def run_batch(
     interrupted it is true all the same, and the next run goes on where this one stopped.
 
     Args:
-        sources: Logs, folders and patterns, as for `mclass.batch.plan.find_logs`.
-        folder: Where outputs and record go; made if it is not there.
+        sources: Logs, URLs, folders and patterns, as for `mclass.batch.plan.find_logs`.
+        folder: Where outputs and record go, a path or URL; made if it is not there.
         work: What to do with each log.
         processes: How many logs at once; one a core when None.
         executor: Who does it; processes of this machine when None.
@@ -103,7 +104,7 @@ def run_batch(
 
     Raises:
         UsageError: If there are no logs, or the folder cannot be used.
-        LogError: If the record cannot be written.
+        LogError: If the record cannot be written, or a store fails.
     """
     began = time.monotonic()
     criteria = criteria or Criteria()
@@ -111,7 +112,7 @@ def run_batch(
     execute = executor or (lambda work, jobs: each(work, jobs, count))
     with _folder(folder):
         path = folder / RESULTS_NAME
-        known = read_results(path) if path.exists() else ()
+        known = () if size_of(path) is None else read_results(path)
         jobs = plan(find_logs(sources, folder), folder, known, overwrite=overwrite)
         record = _Record(path, (*known, *(job.entry for job in jobs)))
         del known
@@ -168,7 +169,7 @@ class _Record:
     time however many logs there are.
     """
 
-    def __init__(self, path: Path, entries: Iterable[LogResult]) -> None:
+    def __init__(self, path: Place, entries: Iterable[LogResult]) -> None:
         self._lines: dict[str, str] = {}
         for entry in entries:
             self._lines.setdefault(entry.name, entry_line(entry))
@@ -216,8 +217,12 @@ class _Record:
 
 
 @contextlib.contextmanager
-def _folder(folder: Path) -> Iterator[None]:
-    """The folder, made if need be, and nobody else's while it is used."""
+def _folder(folder: Place) -> Iterator[None]:
+    """The folder, made if need be, and nobody else's while it is used; but for URLs."""
+    if isinstance(folder, Url):
+        Store(folder / RESULTS_NAME).check_writable()
+        yield
+        return
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -242,8 +247,10 @@ def _folder(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _remove_leftovers(folder: Path) -> None:
+def _remove_leftovers(folder: Place) -> None:
     """Delete what processes that were killed had begun to write."""
+    if isinstance(folder, Url):
+        return
     for path in folder.iterdir():
         if _LEFTOVER.fullmatch(path.name):
             with contextlib.suppress(OSError):

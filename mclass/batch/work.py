@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
+import contextlib
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import mclass
 from mclass.batch.plan import Job
 from mclass.batch.record import LogResult, object_entries
 from mclass.config.find import MODEL_FILE_NAME, find_model
-from mclass.errors import LogError, MclassError
-from mclass.logs.reader import LogReader
+from mclass.errors import MclassError
+from mclass.logs.reader import LogReader, open_log_source
+from mclass.logs.stores import size_of
 from mclass.model import Model
 from mclass.pipeline import estimate
-
-_BLOCK = 1 << 20
+from mclass.places import Place
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ class Estimation:
         return replace(done, seconds=time.monotonic() - began)
 
     def _estimate(self, job: Job, blank: LogResult) -> LogResult:
-        output = Path(job.folder, job.entry.output)
+        output = job.folder / job.entry.output
         found = estimate(
             job.log,
             self.model,
@@ -93,7 +91,7 @@ class Estimation:
             status="damaged" if found.damage else "done",
             exit_code=3 if found.damage else 0,
             input_hash=found.input_hash,
-            output_bytes=output.stat().st_size,
+            output_bytes=size_of(output) or 0,
             model=found.model.name,
             model_hash=found.model.hash,
             used=found.used,
@@ -109,27 +107,19 @@ class Estimation:
             return False
         if dict(entry.settings) != self.settings:
             return False
-        try:
-            if os.stat(Path(job.folder, entry.output)).st_size != entry.output_bytes:
-                return False
-        except OSError:
+        if size_of(job.folder / entry.output) != entry.output_bytes:
             return False
         return self._model_hash(job.log) == entry.model_hash and _hash(job.log) == entry.input_hash
 
-    def _model_hash(self, log: str) -> str:
+    def _model_hash(self, log: Place) -> str:
         if self.model is not None:
             return self.model.hash
         with LogReader.open(log) as reader:
             return find_model(reader.path, reader.attachment(MODEL_FILE_NAME)).hash
 
 
-def _hash(log: str) -> str:
+def _hash(log: Place) -> str:
     """As outputs record it."""
-    digest = hashlib.sha256()
-    try:
-        with open(log, "rb") as file:
-            while block := file.read(_BLOCK):
-                digest.update(block)
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", path=log) from error
-    return f"sha256:{digest.hexdigest()}"
+    with contextlib.closing(open_log_source(log)) as source:
+        # A store that tells no versions leaves it open whether the log is the same.
+        return source.hash() or "unknown"

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mclass.commands.options import echo_json, format_option, time_options
+from mclass.commands.options import LOG, PlaceType, echo_json, format_option, time_options
 
 if TYPE_CHECKING:
     from mclass.batch.record import LogResult
+    from mclass.places import Place
 
 
 @click.command(short_help="Estimate many logs at once, for CI and fleets.")
@@ -29,10 +30,10 @@ if TYPE_CHECKING:
     "-o",
     "--output",
     "folder",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=PlaceType(path_type=Path, file_okay=False),
     metavar="DIR",
     required=True,
-    help="Folder for the outputs and results.json.",
+    help="Folder or URL for the outputs and results.json.",
 )
 @click.option(
     "-j", "--jobs", type=click.IntRange(min=1), metavar="N", help="Logs at once.  [default: cores]"
@@ -62,7 +63,7 @@ if TYPE_CHECKING:
 @click.option(
     "--baseline",
     "baseline_path",
-    type=click.Path(path_type=Path),
+    type=LOG,
     metavar="RESULTS.json",
     help="results.json of another batch: say what changed, exit 4 if it is for the worse.",
 )
@@ -102,7 +103,7 @@ def batch(
     *,
     sources: tuple[str, ...],
     model_path: Path | None,
-    folder: Path,
+    folder: Place,
     jobs: int | None,
     dask_address: str | None,
     start: str | None,
@@ -110,7 +111,7 @@ def batch(
     every_s: float | None,
     prefix: str,
     rule_texts: tuple[str, ...],
-    baseline_path: Path | None,
+    baseline_path: Place | None,
     orientation_deg: float,
     entropy: float,
     junit_path: Path | None,
@@ -135,6 +136,7 @@ def batch(
       mclass batch 'fleet/**/*.mcap' -o results -j 2 --junit results.xml
       mclass batch logs/ -o out --fail-on 'skipped > 5 %' --fail-on 'objects < 3'
       mclass batch logs/ -o new --baseline old/results.json
+      mclass batch s3://bucket/logs/ -o s3://bucket/results
     """
     from mclass.batch.judgement import METRICS, Tolerances
     from mclass.batch.record import read_results, write_whole

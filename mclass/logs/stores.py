@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from mclass.errors import LogError, UsageError
-from mclass.places import Url
+from mclass.places import Place, Url
 
 _WEB = ("http", "https")
-_BUCKETS = ("s3", "gs")
+LISTED = ("s3", "gs")
+"""Kinds of stores that tell what they hold."""
 _ATTEMPTS = 3
 _PAUSE_S = 0.3
 _PART_BYTES = 1 << 23
@@ -70,7 +71,7 @@ class Store:
     def __init__(self, url: Url) -> None:
         self._url = url
         self._name = str(url)
-        if url.scheme not in (*_BUCKETS, *_WEB):
+        if url.scheme not in (*LISTED, *_WEB):
             raise StoreError(
                 f"{url.scheme}:// is no known kind of URL; known: s3://, gs://, https://, http://.",
                 path=self._name,
@@ -207,7 +208,7 @@ class Store:
             raise StoreError("cannot be listed. Name its logs one by one.", path=self._name)
         try:
             names = self._try(lambda: getattr(self._files, method)(self._path))
-        except _MissingError:
+        except MissingError:
             return []
         return [Url(f"{self._url.scheme}://{name}") for name in sorted(names)]
 
@@ -252,7 +253,7 @@ class Store:
     def _as_store_error(self, error: Exception) -> StoreError:
         status = getattr(error, "status", None)
         if isinstance(error, FileNotFoundError) or status in (404, 410):
-            return _MissingError("is not there. Check bucket and name.", path=self._name)
+            return MissingError("is not there. Check bucket and name.", path=self._name)
         if isinstance(error, PermissionError) or status in (401, 403):
             return StoreError(f"access is denied. {self._advice()}", path=self._name)
         if type(error).__name__ in _NO_CREDENTIALS:
@@ -272,8 +273,34 @@ class Store:
         return f"Set {known}." if known else "Check the address and its signature."
 
 
-class _MissingError(StoreError):
+class MissingError(StoreError):
     """Nothing is there."""
+
+
+def size_of(place: Place) -> int | None:
+    """Bytes in a file or object; None if there is none, or its store does not say.
+
+    Raises:
+        StoreError: If the store fails.
+    """
+    if isinstance(place, Url):
+        try:
+            return Store(place).facts().size
+        except MissingError:
+            return None
+    with contextlib.suppress(OSError):
+        return place.stat().st_size
+    return None
+
+
+def content_of(place: Place) -> bytes:
+    """All bytes of a small file or object.
+
+    Raises:
+        StoreError: If the store fails, or nothing is there.
+        OSError: If the file cannot be read.
+    """
+    return Store(place).read_whole() if isinstance(place, Url) else place.read_bytes()
 
 
 def _is_final(error: Exception) -> bool:
