@@ -26,7 +26,7 @@ class Damage:
 
     def __init__(self) -> None:
         self._losses: dict[str, _Loss] = {}
-        self._remarks: dict[str, None] = {}
+        self._remarks: dict[str, set[int]] = {}
 
     def lose(
         self,
@@ -55,9 +55,11 @@ class Damage:
         loss.messages += messages or 0
         loss.uncounted = loss.uncounted or messages is None
 
-    def remark(self, sentence: str) -> None:
-        """Note something wrong that cost no data."""
-        self._remarks[sentence] = None
+    def remark(self, sentence: str, offset: int | None = None) -> None:
+        """Note something wrong that cost no data, and at which byte of the file it is."""
+        offsets = self._remarks.setdefault(sentence, set())
+        if offset is not None:
+            offsets.add(offset)
 
     @property
     def any(self) -> bool:
@@ -92,7 +94,10 @@ class Damage:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What was wrong without costing data, in sentences."""
-        return tuple(self._remarks)
+        return tuple(
+            f"{sentence} ({_where(offsets)})" if offsets else sentence
+            for sentence, offsets in self._remarks.items()
+        )
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -124,9 +129,12 @@ def _sentence(reason: str, loss: _Loss) -> str:
         parts.append(_count(loss.bytes, "byte"))
     if not parts:
         parts.append("an unknown number of messages" if loss.uncounted else "no message")
-    first = min(loss.offsets)
-    where = f"at byte {first}" if len(loss.offsets) == 1 else f"from byte {first} on"
-    return f"lost {', '.join(parts)} {where}: {reason}"
+    return f"lost {', '.join(parts)} {_where(loss.offsets)}: {reason}"
+
+
+def _where(offsets: set[int]) -> str:
+    first = min(offsets)
+    return f"at byte {first}" if len(offsets) == 1 else f"from byte {first} on"
 
 
 def _count(number: int, noun: str) -> str:

@@ -71,7 +71,9 @@ def use_content(entry: ChunkEntry, content: ChunkContent, damage: Damage) -> Non
     """Learn from a chunk that was read what its index did not tell."""
     counts = content.counts()
     if entry.index_offsets and not (content.indexed and counts == entry.counts):
-        damage.remark(f"the message indexes of the chunk at byte {entry.offset} are wrong")
+        damage.remark("the message indexes of a chunk are wrong", entry.offset)
+    if not keeps_times(entry, content):
+        damage.remark("a chunk holds messages outside of the times that it states", entry.offset)
     entry.counts = counts
     if entry.kind is Kind.CUT and len(content.heads):
         times = content.heads["log_time"]
@@ -79,6 +81,14 @@ def use_content(entry: ChunkEntry, content: ChunkContent, damage: Damage) -> Non
     elif content.unusable and entry.kind is not Kind.CUT:
         entry.state = State.RAGGED
         damage.lose("records in this chunk are broken", entry.offset, chunks=1)
+
+
+def keeps_times(entry: ChunkEntry, content: ChunkContent) -> bool:
+    """Whether the messages of a chunk lie within the times that it states."""
+    if entry.kind is Kind.CUT or not len(content.heads):
+        return True
+    times = content.heads["log_time"]
+    return bool(times.min() >= entry.start_time and times.max() <= entry.end_time)
 
 
 def lose_chunk(entry: ChunkEntry, error: ChunkLostError, damage: Damage) -> None:

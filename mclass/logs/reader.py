@@ -23,7 +23,8 @@ from mclass.logs.chunks import (
     read_chunk,
 )
 from mclass.logs.damage import Damage
-from mclass.logs.index import load_index, lose_chunk, scan_index, use_content
+from mclass.logs.index import keeps_times, load_index, lose_chunk, scan_index, use_content
+from mclass.logs.redefined import Redefinitions
 from mclass.logs.remote import open_remote
 from mclass.logs.source import Source, open_source
 from mclass.logs.summary import Summary
@@ -40,6 +41,7 @@ from mclass.records import BoolArray, IntArray
 
 _LATEST = (1 << 63) - 1
 _BLOCK = 1 << 20
+_TIMES_LIE = "chunks were chosen by the times they state, and this one's are wrong"
 _MESSAGE_FIELDS = MESSAGE_HEAD - RECORD_HEAD
 
 
@@ -288,14 +290,18 @@ class LogReader:
         infos = {channel.id: channel for channel in self.channels}
         wanted = infos.keys() & frozenset(channel_ids)
         seen = dict.fromkeys(wanted, 0)
+        bounded = start_ns is not None or end_ns is not None
+        redefinitions = Redefinitions(self.index, self.damage, wanted)
 
         def relevant(entry: ChunkEntry) -> bool:
             if entry.counts is None:
                 return True
-            return (
-                any(entry.counts.get(channel_id) for channel_id in wanted)
-                and (start_ns is None or entry.end_time >= start_ns)
-                and (end_ns is None or entry.start_time < end_ns)
+            return any(entry.counts.get(channel_id) for channel_id in wanted) and (
+                entry.start_time > entry.end_time
+                or (
+                    (start_ns is None or entry.end_time >= start_ns)
+                    and (end_ns is None or entry.start_time < end_ns)
+                )
             )
 
         for entry, content in self._contents(relevant):
@@ -309,6 +315,11 @@ class LogReader:
                 within &= times >= start_ns
             if end_ns is not None:
                 within &= times < end_ns
+            if bounded and not keeps_times(entry, content):
+                self.damage.lose(_TIMES_LIE, entry.offset, messages=None)
+            foreign = redefinitions.foreign(entry, content)
+            if foreign is not None:
+                within &= ~foreign
             for channel_id, rows in _rows_by_channel(content, wanted):
                 first = seen[channel_id]
                 seen[channel_id] += len(rows)
@@ -339,11 +350,10 @@ class LogReader:
             LogError: If the disk fails.
         """
         problems: list[str] = []
+        redefinitions = Redefinitions(self.index, self.damage, self.index.channels.keys())
         for entry, content in self._contents(lambda entry: True):
-            if content is not None and not _keeps_times(entry, content):
-                problems.append(
-                    f"the chunk at byte {entry.offset} holds messages outside of its times"
-                )
+            if content is not None:
+                redefinitions.foreign(entry, content)
             if progress is not None:
                 progress(entry.offset, self.size)
         problems += [
@@ -475,9 +485,3 @@ def _runs(within: BoolArray) -> Iterator[tuple[int, int]]:
         return
     edges = np.flatnonzero(np.diff(np.concatenate(([False], within, [False]))))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-
-
-def _keeps_times(entry: ChunkEntry, content: ChunkContent) -> bool:
-    """Whether the messages of a chunk lie within the times that it states."""
-    times = content.heads["log_time"]
-    return not len(times) or bool(times.min() >= entry.start_time and times.max() <= entry.end_time)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import struct
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, MetadataIndex, Statistics
@@ -43,6 +44,15 @@ _SUMMARY_OPCODES = frozenset(
 )
 
 
+class Mark(NamedTuple):
+    """A schema or channel record: where it is, and whether it says what the known one says."""
+
+    place: int
+    opcode: Opcode
+    id: int
+    in_use: bool
+
+
 @dataclass
 class LogIndex:
     """Where everything in a log is.
@@ -61,6 +71,7 @@ class LogIndex:
             ``chunks`` of the kinds loose and cut they are all that the log holds.
         data_crc: Checksum of the data section as the file says; 0 if it says none.
         data_end: Where the data section ends.
+        marks: Of the schemas and channels outside of chunks, in file order.
         statistics: As the file says; None if it says none.
         summarised: Whether the summary was used.
     """
@@ -76,6 +87,7 @@ class LogIndex:
     kept: list[tuple[int, int]] = field(default_factory=list)
     data_crc: int = 0
     data_end: int = len(MAGIC)
+    marks: list[Mark] = field(default_factory=list)
     statistics: Statistics | None = None
     summarised: bool = False
 
@@ -108,6 +120,27 @@ class LogIndex:
         else:
             channel = parse_channel(record)
             self.channels.setdefault(channel.id, channel)
+
+    def mark(self, place: int, record: bytes) -> Mark:
+        """Compare a whole schema or channel record with the known one of its id.
+
+        Args:
+            place: Of the record, for the answer.
+            record: The record.
+
+        Raises:
+            MalformedError: If it is broken.
+        """
+        found: SchemaRecord | ChannelRecord
+        known: SchemaRecord | ChannelRecord | None
+        if record[0] == Opcode.SCHEMA:
+            found = parse_schema(record)
+            known = self.schemas.get(found.id)
+        else:
+            found = parse_channel(record)
+            known = self.channels.get(found.id)
+        in_use = known is None or known.raw == record or _content(known) == _content(found)
+        return Mark(place, Opcode(record[0]), found.id, in_use)
 
     def add_definitions(self, summary: Summary) -> None:
         """Take over the schemas and channels of a summary where there are none yet."""
@@ -217,7 +250,9 @@ class Walk:
             index.profile, index.library = parse_header(self._source.peek(position, length))
             index.has_header = True
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            index.define_record(self._source.peek(position, length))
+            record = self._source.peek(position, length)
+            index.define_record(record)
+            index.marks.append(index.mark(position, record))
         elif opcode == Opcode.MESSAGE_INDEX:
             messages = int.from_bytes(self._source.peek(position + RECORD_HEAD + 2, 4), "little")
             reason = "only the message index of a chunk is left"
@@ -265,7 +300,7 @@ class Walk:
             raise UntrustedSummaryError(f"the chunk at byte {position} has a wrong length")
         entry = self._chunk_entry(Kind.CUT, position, end, any_length=True)
         self._index.chunks.append(entry)
-        self._damage.remark(f"the chunk at byte {position} has a wrong length; its sizes were used")
+        self._damage.remark("a chunk has a wrong length; its sizes were used", position)
         while (span := self._finder.span(end)) and span[0] == Opcode.MESSAGE_INDEX:
             end = span[1]
         return end
@@ -372,3 +407,10 @@ def read_attachment_head(source: Source, position: int) -> tuple[AttachmentIndex
         MalformedError: If there is none, or its names are longer than any path.
     """
     return parse_attachment_head(source.peek(position, 1 << 16), position)
+
+
+def _content(record: SchemaRecord | ChannelRecord) -> tuple[object, ...]:
+    """What messages are decoded by."""
+    if isinstance(record, SchemaRecord):
+        return record.name, record.encoding, record.data
+    return record.topic, record.message_encoding, record.schema_id
