@@ -19,6 +19,9 @@ _BORDER = 1e-9
 _TILE = 16
 """Cells along the edge of a tile."""
 
+_PAIRS_AT_ONCE = 2**16
+"""Cells times detections that are looked at together."""
+
 TILE_CELLS = _TILE**2
 
 
@@ -193,6 +196,18 @@ def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
         column = np.arange(left * _TILE, min((left + 1) * _TILE, grid.columns))
         cells = (row[:, None] * grid.columns + column[None, :]).ravel()
         yield Tile(cells, rows[start:stop])
+
+
+def touching(grid: Grid, pointing: Pointing) -> BoolArray:
+    """Which detections point at some cell of the grid, (k,)."""
+    touches = np.zeros(len(pointing.positions), dtype=bool)
+    for tile in tiles(grid, pointing):
+        # Most are found in their first tile, and are not looked for again.
+        rows = tile.rows[~touches[tile.rows]]
+        for part in Tile(tile.cells, rows).parts(_PAIRS_AT_ONCE) if len(rows) else ():
+            seen = sight(grid.centers(part.cells), grid.cell_size, pointing.select(rows))
+            touches[rows] |= seen.inside.any(axis=0)
+    return touches
 
 
 def _near_sector(

@@ -42,7 +42,8 @@ class CameraSettings:
     """A camera that the log does not describe.
 
     ``intrinsics`` is (fx, fy, cx, cy) [pixel]; ``mount_xyz`` [m] and ``mount_rpy`` [rad] place
-    the camera body (x forward, y left, z up) on the robot.
+    the camera body (x forward, y left, z up) on the robot. ``rectified`` says that detections
+    come from rectified images, whose distortion is undone already.
     """
 
     intrinsics: tuple[float, float, float, float] | None = None
@@ -51,6 +52,7 @@ class CameraSettings:
     distortion: tuple[float, ...] = ()
     mount_xyz: tuple[float, float, float] | None = None
     mount_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rectified: bool = False
 
 
 @dataclass(frozen=True)

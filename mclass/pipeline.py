@@ -17,6 +17,7 @@ from mclass.config.find import MODEL_FILE_NAME, find_model
 from mclass.config.model_file import load_model, parse_model
 from mclass.errors import LogError, UsageError
 from mclass.findings import Estimate
+from mclass.footprint import touching
 from mclass.inference import (
     UNEXPLAINED,
     Cut,
@@ -41,7 +42,7 @@ ModelSource: TypeAlias = "Model | str | os.PathLike[str]"
 """A model, the path of a model file, or the text of one (recognised by its line breaks)."""
 
 NOWHERE = "no direction, and no known position of the object"
-MISSED = "points at no cell (smaller grid.cell_size, or grid.footprint: ray)"
+MISSED = "points at no cell (larger grid.size, smaller grid.cell_size, or grid.footprint: ray)"
 
 
 def default_output(log: Place) -> Place:
@@ -106,7 +107,8 @@ def estimate(
         raise UsageError(f"{place_of(log)}: in place, the log must be a file")
     with LogReader.open(log) as reader:
         if model is None:
-            model = find_model(reader.path, reader.attachment(MODEL_FILE_NAME))
+            attached = reader.attachment(MODEL_FILE_NAME)
+            model = find_model(reader.path, attached, reader.damage.losses)
         else:
             model = model_of(model)
         window = find_window(reader, start, end)
@@ -278,6 +280,10 @@ def _without_effect(problem: Problem, estimated: Collection[str]) -> dict[str, i
     owners = found.object_index[problem.used]
     has_place = np.array([*(name in known for name in found.object_ids), False])[owners]
     has_estimate = np.array([*(name in estimated for name in found.object_ids), True])[owners]
+    anonymous = np.flatnonzero(located & (owners < 0))
+    if problem.grid is not None and len(anonymous):
+        pointing = problem.looks.pointing.select(problem.used[anonymous])
+        has_estimate[anonymous] = touching(problem.grid, pointing)
     tally = Tally()
     tally.add(NOWHERE, int((~located & ~has_place).sum()))
     tally.add(MISSED, int((located & ~has_estimate).sum()))

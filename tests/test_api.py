@@ -172,6 +172,24 @@ def test_labels_that_no_class_explains() -> None:
     assert not mclass.infer(stray, model).objects[0].unexplained
 
 
+def test_what_points_beside_the_grid_is_counted() -> None:
+    """With an id or without: of four detections, two look away from the map's only cells."""
+    text = TOY_MODEL.read_text(encoding="utf-8")
+    text = text.replace("range: [1, 30]", "range: [1, 30], origin: [0, 0], size: [10, 10]")
+    away, towards = [0.0, 0.1], [np.pi - 0.1, np.pi + 0.1]
+    looks = toy(
+        poses=[[2.0, 0.5, 0.0]] * 4,
+        labels=[["c1"]] * 4,
+        object_ids=[None, None, "far", "near"],
+        directions=[away, towards, away, towards],
+        stamps_ns=[1, 2, 3, 4],
+    )
+    found = mclass.infer(looks, text.replace("objects:\n  o1: {position: [5, 5]}\n", ""))
+    (reason,) = found.skipped
+    assert "points at no cell (larger grid.size" in reason
+    assert (found.skipped[reason], found.used, found.object_ids) == (2, 2, ("near",))
+
+
 def test_estimate_from_arrays_is_kept_in_a_log(tmp_path: Path) -> None:
     out = tmp_path / "toy.mcap"
     model = mclass.load_model(TOY_MODEL)

@@ -220,6 +220,8 @@ class TestEstimate:
         done = mclass("estimate", log, code=2)
         assert "no model" in done.stderr
         assert "mclass init" in done.stderr
+        assert "The log is damaged (lost " in done.stderr
+        assert "a model that was attached to it may be lost" in done.stderr
         assert [path.name for path in tmp_path.iterdir()] == [log.name]
 
     def test_plot(self, tmp_path: Path) -> None:

@@ -190,6 +190,7 @@ camera_info: /info
     assert log.camera.intrinsics == (500, 510, 320, 240)
     assert log.camera.image_size == (640, 480)
     assert log.camera.distortion == (0.1, -0.2)
+    assert not log.camera.rectified
     assert log.camera.mount_xyz == pytest.approx((0.1, -0.2, 0.3))
     assert log.camera.mount_rpy == pytest.approx((0, math.pi / 12, -math.pi / 2))
 
@@ -412,6 +413,12 @@ def test_density_by_hand() -> None:
             "camera: {distortion: §[1, 2, 3, 4, 5, 6]}",
             "log.camera.distortion",
             "at most 5 coefficients, not 6",
+        ),
+        (
+            "odometry: /odom",
+            "camera: {distortion: §[0.1], rectified: true}",
+            "log.camera.distortion",
+            "rectified images have no distortion left",
         ),
         # grid
         (

@@ -47,7 +47,7 @@ log:
   camera_info: /c
   camera:
     {fx: 1, fy: 1, cx: 1, cy: 1, width: 2, height: 2, distortion_model: plumb_bob,
-     distortion: [0.1], mount: {position: [0, 0, 1], rpy_deg: [0, 0, 90]}}
+     distortion: [0.1], rectified: false, mount: {position: [0, 0, 1], rpy_deg: [0, 0, 90]}}
   min_score: 0.5
   labels: {"7": a}
   max_gap: 1

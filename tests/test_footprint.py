@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from oracle import Reach, Sighting, footprint_holds
 from strategies import angles, floats, grids
 
-from mclass.footprint import Grid, Pointing, covering_grid, sight, tiles
+from mclass.footprint import Grid, Pointing, covering_grid, sight, tiles, touching
 from mclass.records import FloatArray
 
 
@@ -192,7 +192,9 @@ def test_cells_match_oracle(
         rays=rays,
     )
     kind = "ray" if rays else "cone"
-    for box, held in zip(boxes, held_cells(grid, pointing), strict=True):
+    cells_held = held_cells(grid, pointing)
+    assert touching(grid, pointing).tolist() == [bool(held) for held in cells_held]
+    for box, held in zip(boxes, cells_held, strict=True):
         x, y, middle, width = box
         view = Sighting((), np.array([x, y]), 0.0, middle - width / 2, middle + width / 2)
         cells = range(grid.rows * grid.columns)

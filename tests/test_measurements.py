@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -348,6 +349,7 @@ def test_labels_are_translated_gated_and_counted(log: SceneLog) -> None:
             detection({"pan": 0.9, "pot": 0.9}),
             detection({}),
             detection({"cup": float("inf")}),
+            detection({"cup": float("nan")}),
             detection([("cup", 0.6), ("cup", 0.7)]),
         ],
     )
@@ -358,7 +360,8 @@ def test_labels_are_translated_gated_and_counted(log: SceneLog) -> None:
     assert sets == [("cup",), ("jug",), ("cup",), ("cup",), ("cup",)]
     assert found.scores[-1] == 0.7
     assert contents.tally.counts == {
-        "score below 0.5": 2,
+        "score below 0.5": 1,
+        "score not finite": 2,
         "label not in the model": 2,
         "no label": 1,
     }
@@ -565,6 +568,41 @@ def test_binned_and_cropped_images_have_other_intrinsics(log: SceneLog) -> None:
     np.testing.assert_allclose(found.directions, [[NORTH - math.atan(0.2), NORTH]])
     expected = [[NORTH - math.atan(90 / 250), NORTH + math.atan(110 / 250)]]
     np.testing.assert_allclose(found.frames.view_directions, expected)
+
+
+@pytest.mark.parametrize(
+    ("projection", "focal", "center"),
+    [
+        ([250.0, 0.0, 300.0, -25.0, 0.0, 240.0, 200.0, 0.0, 0.0, 0.0, 1.0, 0.0], 250.0, 300.0),
+        ([0.0] * 12, 500.0, 320.0),
+        (None, 500.0, 320.0),
+    ],
+    ids=["P", "P left zero", "no P"],
+)
+def test_rectified_images_have_the_intrinsics_of_p(
+    log: SceneLog, projection: list[float] | None, focal: float, center: float
+) -> None:
+    """No distortion is undone, and P is used where it was filled in."""
+    standing_robot(log)
+    more: dict[str, Any] = {} if projection is None else {"p": projection}
+    log.camera(0.0, topic="/camera/camera_info", d=(-0.4, 0.2, 0.01, 0.0, 0.0), **more)
+    log.detections(1.0, [detection({"cup": 1.0}, box(320, 0, 420, 480))])
+    path = log.close()
+    found = read(path, make_model(camera=CameraSettings(rectified=True)))
+    expected = [NORTH - math.atan((x - center) / focal) for x in (420.0, 320.0)]
+    np.testing.assert_allclose(found.measurements.directions, [expected], atol=1e-12)
+    assert any("as those of rectified images" in note for note in found.notes)
+    distorted = read(path)
+    assert abs(distorted.measurements.directions[0, 0] - expected[0]) > 0.002
+    assert not any("rectified" in note for note in distorted.notes)
+
+
+def test_a_topic_of_rectified_images_is_pointed_out(log: SceneLog) -> None:
+    standing_robot(log)
+    log.camera(0.0, topic="/camera/camera_info", d=(-0.4, 0.2, 0.0, 0.0, 0.0))
+    topic = "/camera/image_rect/detections"
+    log.detections(1.0, [detection({"cup": 1.0}, box(320, 0, 420, 480))], topic=topic)
+    assert any("set log.camera.rectified" in note for note in read(log.close()).notes)
 
 
 def test_an_unknown_distortion_model_is_counted_and_said(log: SceneLog) -> None:

@@ -115,7 +115,8 @@ class Estimation:
         if self.model is not None:
             return self.model.hash
         with LogReader.open(log) as reader:
-            return find_model(reader.path, reader.attachment(MODEL_FILE_NAME)).hash
+            attached = reader.attachment(MODEL_FILE_NAME)
+            return find_model(reader.path, attached, reader.damage.losses).hash
 
 
 def _hash(log: Place) -> str:

@@ -20,6 +20,7 @@ from mclass.config.checks import (
     integer,
     number,
     several,
+    switch,
     text,
     unknown_name,
     vector,
@@ -146,6 +147,7 @@ def _camera(value: Value, unit: float) -> CameraSettings:
         "height": integer(1, 100_000),
         "distortion_model": choice(*_DISTORTION_SIZES),
         "distortion": lambda child: several(coefficient, child.elements()),
+        "rectified": switch,
         "mount": lambda child: _mount(child, unit),
     }
     found = fields(value, readers, together=(_INTRINSICS, _IMAGE_SIZE))
@@ -155,6 +157,10 @@ def _camera(value: Value, unit: float) -> CameraSettings:
         **found.pop("mount", {}),
         **found,
     )
+    if camera.rectified and camera.distortion:
+        value.at("distortion").fail(
+            "rectified images have no distortion left: leave out this or rectified"
+        )
     allowed = _DISTORTION_SIZES[camera.distortion_model]
     if len(camera.distortion) > allowed:
         value.at("distortion").fail(

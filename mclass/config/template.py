@@ -172,7 +172,7 @@ def _log(facts: TemplateFacts) -> list[str]:
     else:
         lines.append("  # The detector's names -> the names above; others are left out.")
         lines.append('  # labels: {"0": cup, "41": cup, "73": mug}')
-    return [*lines, *_LOG_OPTIONS, *(() if facts.has_camera else _CAMERA)]
+    return [*lines, *_LOG_OPTIONS, *(_RECTIFIED if facts.has_camera else _CAMERA)]
 
 
 def _odometry(source: FieldMapping | TransformSource | None) -> str:
@@ -255,11 +255,17 @@ _LOG_OPTIONS = _block("""
   # max_gap: 0.5          # seconds without a pose that are bridged
 """)
 
+_RECTIFIED = _block("""
+  # Does the detector look at rectified images? Then their distortion is undone already:
+  # camera: {rectified: true}
+""")
+
 _CAMERA = _block("""
   # Camera, in pixels, and its place on the robot, where the log does not say:
   # camera:
   #   {fx: 525, fy: 525, cx: 319.5, cy: 239.5, width: 640, height: 480,
   #    mount: {position: [0.1, 0, 0.3], rpy_deg: [0, 0, 0]}}
+  # With `rectified: true` where the detector looks at rectified images.
 """)
 
 _GRID = GridSettings()

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mclass.errors import LogError
+from mclass.logs.decode.json import is_absent
 from mclass.logs.families import BoxFormat
 from mclass.logs.fields import BoxFields, DetectionFields
 from mclass.logs.tables import Table, level_of
@@ -169,9 +170,9 @@ def encode_texts(texts: TextArray) -> tuple[list[str], IntArray]:
 
     Object arrays throughout: one very long text would make a fixed-width array of many huge.
     """
-    known: dict[str, int] = {}
-    codes = [known.setdefault(text, len(known)) for text in texts.tolist()]
-    return list(known), np.array(codes, dtype=np.int64)
+    values: list[str] = texts.tolist()
+    numbers = {text: number for number, text in enumerate(dict.fromkeys(values))}
+    return list(numbers), np.fromiter(map(numbers.__getitem__, values), np.int64, len(values))
 
 
 def as_names(values: npt.NDArray[Any]) -> TextArray:
@@ -234,7 +235,8 @@ def _frame_names(table: Table, alternatives: Sequence[str]) -> TextArray:
 
 def clean_frames(names: npt.NDArray[Any]) -> TextArray:
     """Frame names without the leading slash of old ROS."""
-    return np.array([str(name).lstrip("/") for name in names.tolist()] + [None], object)[:-1]
+    distinct, codes = encode_texts(names)
+    return np.array([str(name).lstrip("/") for name in distinct] + [None], object)[codes]
 
 
 def _labels(
@@ -255,7 +257,7 @@ def _labels(
         scores = table.at_level(fields.score, level).astype(np.float64)
         # A JSON message may leave the score out where it has nothing to say.
         if table.channel.message_encoding == "json":
-            scores = np.where(np.isnan(scores), 1.0, scores)
+            scores = np.where(is_absent(scores), 1.0, scores)
     return detection, labels, scores
 
 

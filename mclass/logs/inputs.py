@@ -217,6 +217,8 @@ class InputReader:
 
     def _cameras(self, *, by_log_time: bool) -> tuple[CameraTrack, ...]:
         found = []
+        settings = self.model.log.camera if self.model is not None else None
+        rectified = settings is not None and settings.rectified
         for source in self.sources.cameras:
             wanted = {source.channel.id: source.paths}
             (table,) = self._tables_of(wanted, self._around)
@@ -224,7 +226,7 @@ class InputReader:
                 # Calibrations may be logged once, at the start.
                 del self._tables[source.channel.id]
                 (table,) = self._tables_of(wanted, (None, None))
-            track = read_camera(table, source, by_log_time=by_log_time)
+            track = read_camera(table, source, by_log_time=by_log_time, rectified=rectified)
             if track is not None:
                 found.append(track)
         return tuple(found)

@@ -15,6 +15,7 @@ from mclass.records import BoolArray, FloatArray, IntArray
 
 NO_LABEL = "no label"
 UNKNOWN_LABEL = "label not in the model"
+BAD_SCORE = "score not finite"
 
 
 @dataclass(frozen=True)
@@ -59,18 +60,15 @@ def known_labels(found: Detections, model: Model, numbered: Mapping[str, str]) -
     names, codes = encode_texts(found.labels)
     labels = translate_labels(names, model, numbered)[codes]
     named = labels >= 0
-    # Not a number is below every threshold; infinities are no scores either.
-    scored = np.isfinite(found.scores) & (found.scores >= model.log.min_score)
-    good = named & scored
-    reasons = (
-        "",
-        NO_LABEL,
-        UNKNOWN_LABEL,
-        f"score below {model.log.min_score:g}" if model.log.min_score > 0 else "score not finite",
-    )
+    finite = np.isfinite(found.scores)
+    with np.errstate(invalid="ignore"):
+        good = named & finite & (found.scores >= model.log.min_score)
+    low = f"score below {model.log.min_score:g}"
+    reasons = ("", NO_LABEL, UNKNOWN_LABEL, BAD_SCORE, low)
     reason = np.full(len(found), 1)
     reason[found.label_detection] = 2
     reason[found.label_detection[named]] = 3
+    reason[found.label_detection[named & finite]] = 4
     reason[found.label_detection[good]] = 0
     counts = np.bincount(codes[~named], minlength=len(names))
     unknown = {name: int(count) for name, count in zip(names, counts, strict=True) if count}

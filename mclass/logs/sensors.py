@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mclass import transforms
-from mclass.camera import Calibrations
+from mclass.camera import Calibrations, has_focal_length
 from mclass.logs import mounting
 from mclass.logs.detections import clean_frames, read_stamps
 from mclass.logs.sources import CameraSource
@@ -70,13 +70,17 @@ class Sensor:
     notes: tuple[str, ...]
 
 
-def read_camera(table: Table, source: CameraSource, *, by_log_time: bool) -> CameraTrack | None:
+def read_camera(
+    table: Table, source: CameraSource, *, by_log_time: bool, rectified: bool = False
+) -> CameraTrack | None:
     """Calibrations of one channel; None if it has no usable message.
 
     Args:
         table: The channel's messages.
         source: Where its fields are.
         by_log_time: Place calibrations by log time.
+        rectified: Pixels are those of rectified images, which have no distortion and the
+            intrinsics in P, or those in K where P was left zero.
     """
     if not len(table):
         return None
@@ -87,7 +91,13 @@ def read_camera(table: Table, source: CameraSource, *, by_log_time: bool) -> Cam
     matrix = _lists(table, source.fields["intrinsics"], 9)[kept]
     intrinsics = matrix[:, [0, 4, 2, 5]]
     coefficients = np.zeros((len(kept), 0))
-    if "coefficients" in source.fields:
+    if rectified:
+        model = ""
+        if "projection" in source.fields:
+            projected = _lists(table, source.fields["projection"], 12)[kept][:, [0, 5, 2, 6]]
+            given = has_focal_length(projected)
+            intrinsics = np.where(given[:, None], projected, intrinsics)
+    elif "coefficients" in source.fields:
         coefficients = _lists(table, source.fields["coefficients"], None)[kept]
     sizes = np.stack([_numbers(table, source, key)[kept] for key in ("width", "height")], axis=1)
     binning = [_numbers(table, source, f"binning_{axis}")[kept] for axis in "xy"]
@@ -227,7 +237,11 @@ def find_sensor(
                 place += ", taken as a body frame (x ahead) since its z axis points up"
     notes.append(f"sensor {frame or 'without a frame'} of {topic}: placed by {place}")
     if has_boxes:
-        notes.append(_camera_note(topic, used, cameras))
+        notes.append(
+            _camera_note(
+                topic, used, cameras, rectified=settings is not None and settings.rectified
+            )
+        )
     return Sensor(frame, optical, used, mount, mounted, fixed, placed, tuple(notes))
 
 
@@ -237,10 +251,21 @@ def _is_fixed(tree: TransformTree, robot: str, frame: str) -> bool:
     return any(not down and not link.static for link, down in path)
 
 
-def _camera_note(topic: str, used: CameraTrack | None, cameras: Sequence[CameraTrack]) -> str:
+def _camera_note(
+    topic: str, used: CameraTrack | None, cameras: Sequence[CameraTrack], *, rectified: bool
+) -> str:
+    """Which calibration turns boxes into directions, or why none does."""
     if used is not None:
         where = f"the calibration on {used.topic}" if used.topic else "the model file's camera"
-        return f"boxes of {topic}: rays by {where}"
+        note = f"boxes of {topic}: pixels become directions by {where}"
+        if rectified:
+            return f"{note}, as those of rectified images (log.camera.rectified)"
+        if "rect" in topic and used.calibrations.coefficients.any():
+            note += (
+                "; its distortion is undone, though the topic's name speaks of rectified images: "
+                "if they are, set log.camera.rectified"
+            )
+        return note
     if cameras:
         topics = ", ".join(found.topic for found in cameras)
         return (

@@ -1,7 +1,8 @@
 """JSON messages: parsed one by one, then taken apart level by level.
 
-A field that a message leaves out, or sets to null, is NaN for a ``float``, ``""``, ``b""``,
-false, or an empty sequence. An ``int`` or ``time`` has no such value: its message is left out.
+A field that a message leaves out, or sets to null, is NaN for a ``float`` (one with its sign bit
+set, so that `is_absent` tells it from a NaN that was written), ``""``, ``b""``, false, or an
+empty sequence. An ``int`` or ``time`` has no such value: its message is left out.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import base64
 import binascii
 import itertools
 import json
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,12 +24,15 @@ import numpy.typing as npt
 from mclass.errors import LogError
 from mclass.logs.decode.base import MAX_LEAVES, ChannelDecoder, Column, DamagedError
 from mclass.logs.decode.ragged import offsets_from
-from mclass.records import IntArray
+from mclass.records import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from mclass.logs.reader import ChannelInfo, MessageBatch
 
 MAX_DEPTH = 64
+
+_NAN = float("nan")
+_ABSENT = math.copysign(_NAN, -1.0)
 
 NOT_JSON = "not a JSON object"
 
@@ -282,12 +287,18 @@ def _common_kind(known: str, kind: str) -> str:
     return "string" if "string" in (known, kind) else known
 
 
+def is_absent(values: FloatArray) -> BoolArray:
+    """Which numbers stand for fields that a message left out."""
+    return np.asarray(np.isnan(values) & np.signbit(values))
+
+
 def _to_float(value: Value) -> float:
     if value is None:
-        return float("nan")
+        return _ABSENT
     if isinstance(value, bool) or (isinstance(value, str) and "_" in value):
         raise ValueError
-    return float(value)
+    number = float(value)
+    return _NAN if math.isnan(number) else number
 
 
 def _to_int(value: Value) -> int:
