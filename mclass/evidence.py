@@ -31,6 +31,9 @@ _TABULATED_AT_ONCE = 2**14
 _ROWS_AT_ONCE = 16
 """Pairs and rows of which all there is to know fits the processor's cache."""
 
+_NUMBERS_AT_ONCE = 2**16
+"""Rows of few pairs are taken together up to so many numbers, to do more work a call."""
+
 _TRANSFORM_COST = 6.0
 """What a number costs that is carried through an FFT, in numbers added to a sum."""
 
@@ -211,7 +214,7 @@ class Engine:
         """Add a term to rows, (rows, n, bins), as S @ D."""
         for level, part in self._by_spread(pairs):
             table, convolution = self._table(term, float(part.ranges.max()), level)
-            for rows, own, starts in _blocks(part.starts):
+            for rows, own, starts in _blocks(part.starts, table.width):
                 scale = None if part.scale is None else part.scale[own]
                 chosen = (starts, part.ranges[own], part.directions[own], scale)
                 if _many(table, convolution, len(starts) - 1, len(chosen[1])):
@@ -284,8 +287,12 @@ def _row_weights(pairs: Pairs) -> FloatArray:
     return np.asarray(sums[pairs.starts[1:]] - sums[pairs.starts[:-1]])
 
 
-def _blocks(starts: IntArray) -> Iterator[tuple[slice, slice, IntArray]]:
+def _blocks(starts: IntArray, width: int) -> Iterator[tuple[slice, slice, IntArray]]:
     """Cut rows and their pairs into blocks; a row with too many pairs is in several.
+
+    Args:
+        starts: Row ``i`` owns pairs ``starts[i]:starts[i + 1]``, (rows + 1,).
+        width: Numbers that a pair adds to a row.
 
     Yields:
         The rows, the pairs, and where among the pairs those of each row start.
@@ -293,7 +300,8 @@ def _blocks(starts: IntArray) -> Iterator[tuple[slice, slice, IntArray]]:
     first_pair = 0
     while first_pair < starts[-1]:
         first = int(np.searchsorted(starts, first_pair, side="right")) - 1
-        after = min(first + _ROWS_AT_ONCE, len(starts) - 1)
+        few = int(np.searchsorted(starts, first_pair + _NUMBERS_AT_ONCE // width))
+        after = min(max(first + _ROWS_AT_ONCE, few), len(starts) - 1)
         last_pair = int(min(starts[after], first_pair + _TABULATED_AT_ONCE))
         last = int(np.searchsorted(starts, last_pair))
         own = np.clip(starts[first : last + 1], first_pair, last_pair) - first_pair

@@ -79,9 +79,14 @@ class LikelihoodTable:
         return int(self.curves.shape[0]) * self.n_directions
 
     @property
+    def width(self) -> int:
+        """Length of a row of D."""
+        return int(self.curves.shape[2]) * self.bins
+
+    @property
     def row_cost(self) -> int:
         """Numbers added up for one measurement."""
-        return 4 * REACH**2 * int(self.curves.shape[2]) * self.bins
+        return 4 * REACH**2 * self.width
 
     @property
     def coefficients(self) -> FloatArray:
