@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from mclass.arrays import measurements_from_arrays
     from mclass.config.model_file import load_model, parse_model
     from mclass.errors import ConfigError, LogError, MclassError, ModelError, UsageError
+    from mclass.evaluation.outputs import evaluate
+    from mclass.evaluation.summary import Evaluation
     from mclass.findings import Estimate
     from mclass.fusion import fuse
     from mclass.model import Model
@@ -31,6 +33,7 @@ __version__ = "0.1.0"
 __all__ = [
     "ConfigError",
     "Estimate",
+    "Evaluation",
     "LabelMeasurements",
     "LogError",
     "MclassError",
@@ -40,6 +43,7 @@ __all__ = [
     "UsageError",
     "__version__",
     "estimate",
+    "evaluate",
     "fuse",
     "infer",
     "load_model",
@@ -50,6 +54,7 @@ __all__ = [
 _HOMES = {
     "ConfigError": "errors",
     "Estimate": "findings",
+    "Evaluation": "evaluation.summary",
     "LabelMeasurements": "records",
     "LogError": "errors",
     "MclassError": "errors",
@@ -58,6 +63,7 @@ _HOMES = {
     "OutputLog": "outputs.readback",
     "UsageError": "errors",
     "estimate": "pipeline",
+    "evaluate": "evaluation.outputs",
     "fuse": "fusion",
     "infer": "pipeline",
     "load_model": "config.model_file",

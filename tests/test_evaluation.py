@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.special import i0
 
+import mclass
 from mclass.commands.cli import main
 from mclass.errors import ConfigError, LogError
 from mclass.evaluation.density import JointDensity, joint_density
@@ -370,6 +371,21 @@ class TestCommand:
         suite = ElementTree.parse(junit).getroot()
         assert suite.attrib["tests"] == "2"
         assert suite.attrib["failures"] == "1"
+
+    def test_same_from_python(self, output: Path, tmp_path: Path) -> None:
+        shown = json.loads(self.run(output, output, "--format", "json").stdout)
+        found = mclass.evaluate([output, str(output)])
+        for name, figure in found.figures.items():
+            assert figure.value == shown["figures"][name]["value"], name
+        assert found.damage == ()
+        path = tmp_path / "truth.yaml"
+        path.write_text("objects: [{id: o1, class: physics_books, x: 40, y: 20, phi: 300}]")
+        by_id = mclass.evaluate([output], path, match="id").figures
+        # Turned by 300° - 257.7°, and at (4, 2) m.
+        assert by_id["orientation_error_deg"].value == pytest.approx(42.26, abs=0.05)
+        assert by_id["position_error"].value == pytest.approx(math.hypot(36, 18), abs=0.01)
+        with pytest.raises(mclass.UsageError, match="nothing to evaluate"):
+            mclass.evaluate([])
 
     def test_other_truth_is_missed(self, output: Path, tmp_path: Path) -> None:
         path = tmp_path / "truth.yaml"

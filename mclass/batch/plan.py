@@ -176,7 +176,7 @@ def _free_name(stem: str, taken: set[str]) -> str:
 def _names_in(folder: Place) -> set[str]:
     """What is in a folder."""
     if isinstance(folder, Url):
-        return {found.name for found in Store(folder).find()}
+        return {found.name for found in Store(folder).children()}
     return set(os.listdir(folder)) if folder.is_dir() else set()
 
 

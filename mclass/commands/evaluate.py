@@ -91,19 +91,15 @@ def evaluate(
       mclass evaluate drive.mclass.mcap --fail-on 'missed > 0' --junit out.xml
     """
     from mclass.batch.record import write_whole
-    from mclass.evaluation.outputs import score_output
+    from mclass.evaluation.outputs import evaluate as evaluate_outputs
     from mclass.evaluation.summary import METRICS, quantities
-    from mclass.evaluation.summary import evaluate as judge
-    from mclass.evaluation.truth import load_truth
     from mclass.rules import parse_rule
     from mclass.text.evaluations import evaluation_json, evaluation_text, junit_cases
     from mclass.text.junit import junit_xml
     from mclass.text.terminal import Terminal
 
     rules = [parse_rule(text, METRICS) for text in rule_texts]
-    truth = None if truth_path is None else load_truth(truth_path)
-    scored = [score_output(out, truth, match=match, gate=gate) for out in outs]
-    evaluation = judge([one.score for one in scored])
+    evaluation = evaluate_outputs(outs, truth_path, match=match, gate=gate)
     values = quantities(evaluation)
     outcomes = [(str(rule), rule.miss(values[rule.metric])) for rule in rules]
     failures = [miss for _, miss in outcomes if miss is not None]
@@ -114,10 +110,9 @@ def evaluate(
         echo_json(evaluation_json(evaluation, failures))
     else:
         click.echo(evaluation_text(evaluation, failures, Terminal.of(sys.stdout)))
-    for out, one in zip(outs, scored, strict=True):
-        for sentence in one.damage:
-            click.echo(f"Warning: {out}: {sentence}", err=True)
+    for sentence in evaluation.damage:
+        click.echo(f"Warning: {sentence}", err=True)
     if failures:
         ctx.exit(4)
-    if any(one.damage for one in scored):
+    if evaluation.damage:
         ctx.exit(3)

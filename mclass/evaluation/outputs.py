@@ -1,16 +1,21 @@
-"""An output of `estimate` to scores."""
+"""Outputs of `estimate` to scores."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
-from mclass.errors import LogError
+from mclass.errors import LogError, UsageError
 from mclass.evaluation.density import joint_density
 from mclass.evaluation.scores import LogScore, score_log
-from mclass.evaluation.truth import Truth, parse_truth
+from mclass.evaluation.summary import Evaluation
+from mclass.evaluation.summary import evaluate as evaluate_scores
+from mclass.evaluation.truth import Truth, load_truth, parse_truth
 from mclass.outputs.readback import OutputLog
-from mclass.places import Place
+from mclass.places import Place, PlaceLike, place_of
 from mclass.simulation.write import TRUTH_NAME
 
 
@@ -20,6 +25,41 @@ class ScoredOutput:
 
     score: LogScore
     damage: tuple[str, ...]
+
+
+def evaluate(
+    outputs: Sequence[PlaceLike],
+    truth: Truth | str | os.PathLike[str] | None = None,
+    *,
+    match: Literal["position", "id"] = "position",
+    gate: float = 1.0,
+) -> Evaluation:
+    """Score the objects in outputs against what really stood there.
+
+    Args:
+        outputs: At least one, by path or URL.
+        truth: Of all outputs: what `load_truth` gives, or the file; None for the one that each
+            carries, if its log was simulated.
+        match: Which estimate is of which object: the nearest, or the one of the same id.
+        gate: Farthest that a match by position may be off [m].
+
+    Raises:
+        UsageError: If there are no outputs.
+        LogError: If an output holds no results, or no truth where none was given.
+        ConfigError: If the truth is wrong.
+    """
+    if not outputs:
+        raise UsageError("nothing to evaluate: name at least one output")
+    if truth is not None and not isinstance(truth, Truth):
+        truth = load_truth(Path(truth))
+    places = [place_of(output) for output in outputs]
+    scored = [score_output(place, truth, match=match, gate=gate) for place in places]
+    damage = [
+        f"{place}: {sentence}"
+        for place, one in zip(places, scored, strict=True)
+        for sentence in one.damage
+    ]
+    return replace(evaluate_scores([one.score for one in scored]), damage=tuple(damage))
 
 
 def score_output(

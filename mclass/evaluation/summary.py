@@ -43,11 +43,13 @@ class Evaluation:
         logs: Scores, log by log.
         figures: By name, in the order of `METRICS`.
         confusion: Number of objects by true class and class named; of a tie, the one named.
+        damage: Sentences on what of the outputs could not be read.
     """
 
     logs: tuple[LogScore, ...]
     figures: Mapping[str, Figure]
     confusion: Mapping[tuple[str, str], int]
+    damage: tuple[str, ...] = ()
 
 
 METRICS: Mapping[str, Metric] = {

@@ -203,11 +203,19 @@ class Store:
         """
         return self._urls("glob")
 
-    def _urls(self, method: str) -> list[Url]:
+    def children(self) -> list[Url]:
+        """What is in a folder itself, sorted; nothing if it is not there.
+
+        Raises:
+            StoreError: If the store cannot list, or fails.
+        """
+        return self._urls("ls", detail=False)
+
+    def _urls(self, method: str, **options: Any) -> list[Url]:
         if self._url.scheme in _WEB:
             raise StoreError("cannot be listed. Name its logs one by one.", path=self._name)
         try:
-            names = self._try(lambda: getattr(self._files, method)(self._path))
+            names = self._try(lambda: getattr(self._files, method)(self._path, **options))
         except MissingError:
             return []
         return [Url(f"{self._url.scheme}://{name}") for name in sorted(names)]
