@@ -39,7 +39,7 @@ LAYERS = (
     ("outputs", "simulation"),
     ("evaluation",),
     ("text",),
-    ("plot",),
+    ("plot", "report"),
     ("memory",),
     ("pipeline", "initialise", "inspection"),
     ("batch", "fusion"),

@@ -24,6 +24,7 @@ _COMMANDS: Mapping[str, str] = {
     "inspect": "mclass.commands.inspect:inspect",
     "simulate": "mclass.commands.simulate:simulate",
     "batch": "mclass.commands.batch:batch",
+    "report": "mclass.commands.report:report",
     "fuse": "mclass.commands.fuse:fuse",
     "evaluate": "mclass.commands.evaluate:evaluate",
 }
