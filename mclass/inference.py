@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from mclass.objects import ObjectFilter, known_position, pointed_cells
 from mclass.observation import Recognition, paper_terms, robust_terms
 from mclass.records import BoolArray, FloatArray, Frames, IntArray, LabelMeasurements
 from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
-from mclass.summary import summarise
+from mclass.summary import Readout, summarise
 from mclass.table import resolving_bins
 
 _LITTLE_WORK = 3e6
@@ -156,7 +156,10 @@ def _grid(model: Model, pointing: Pointing) -> Grid | None:
 
 
 def estimate_objects(
-    problem: Problem, *, history: bool = True
+    problem: Problem,
+    *,
+    history: bool = True,
+    watch: Callable[[ObjectEstimate, Readout], None] | None = None,
 ) -> tuple[list[ObjectEstimate], list[BeliefBlock]]:
     """Follow every object with an id through its measurements.
 
@@ -164,6 +167,7 @@ def estimate_objects(
         problem: From `prepare`.
         history: An estimate after every measurement; else after each object's last alone,
             which takes a fraction of the time.
+        watch: Called with every estimate and the belief that it sums up, object by object.
 
     Returns:
         An estimate after every update, in the order of the measurements; and each object's
@@ -204,8 +208,9 @@ def estimate_objects(
         )
         for step, readouts in enumerate(steps, start=first):
             row = int(rows[step])
+            readout = averaged(readouts)
             estimate = summarise(
-                averaged(readouts),
+                readout,
                 object_id=object_id,
                 stamp_ns=int(stamps[step]),
                 log_time_ns=int(log_times[step]),
@@ -215,6 +220,8 @@ def estimate_objects(
                 known=candidates.known,
             )
             updates.append((row, estimate))
+            if watch is not None:
+                watch(estimate, readout)
         last = updates[-1][1]
         blocks = [tracker.belief(last) for tracker in trackers]
         beliefs.append(averaged_belief(blocks, [tracker.log_evidence for tracker in trackers]))

@@ -89,6 +89,21 @@ def summarise(
     )
 
 
+def orientation_densities(readout: Readout, bins: int) -> FloatArray:
+    """p(orientation | class) with the position summed out [1/rad], bin b at 2 pi b / bins.
+
+    Returns:
+        (n, bins); flat for a class of no probability. Peaks narrower than a bin may fall
+        between the bins.
+    """
+    densities = np.empty((readout.log_likelihood.shape[1], bins))
+    for index, row in enumerate(densities):
+        fine = _orientation_marginal(readout, index)
+        fine = fine / (fine.mean() * 2.0 * np.pi)
+        row[:] = np.interp(np.arange(bins) / bins, np.arange(len(fine)) / len(fine), fine, period=1)
+    return densities
+
+
 def _place(
     readout: Readout, index: int, cell_size: float, *, known: bool
 ) -> tuple[FloatArray, FloatArray]:

@@ -39,7 +39,7 @@ LAYERS = (
     ("outputs", "simulation"),
     ("evaluation",),
     ("text",),
-    ("plot", "report"),
+    ("plot", "report", "viewing"),
     ("memory",),
     ("pipeline", "initialise", "inspection"),
     ("batch", "fusion"),

@@ -25,6 +25,7 @@ _COMMANDS: Mapping[str, str] = {
     "simulate": "mclass.commands.simulate:simulate",
     "batch": "mclass.commands.batch:batch",
     "report": "mclass.commands.report:report",
+    "view": "mclass.commands.view:view",
     "fuse": "mclass.commands.fuse:fuse",
     "evaluate": "mclass.commands.evaluate:evaluate",
 }
