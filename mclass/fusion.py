@@ -27,6 +27,7 @@ from mclass.outputs.channels import Encoding
 from mclass.outputs.readback import OutputLog
 from mclass.pipeline import ModelSource, infer, model_of
 from mclass.places import Place, PlaceLike, place_of
+from mclass.progress import Progress, unheard
 from mclass.records import FloatArray, LabelMeasurements
 
 _OUTPUT_SUFFIXES = (".mclass.mcap", ".mcap")
@@ -67,6 +68,7 @@ def fuse(
     frame: str | None = None,
     prefix: str = "/mclass",
     overwrite: bool = False,
+    progress: Progress = unheard,
 ) -> Estimate:
     """Fuse outputs of `estimate`, or of this function.
 
@@ -81,6 +83,7 @@ def fuse(
         frame: Name of the common world; by default the outputs' own or, with ``frames``, map.
         prefix: Of the topics.
         overwrite: Replace an existing output.
+        progress: Told how far the work is.
 
     Raises:
         UsageError: If the outputs do not fit together.
@@ -89,7 +92,7 @@ def fuse(
     """
     if not outputs:
         raise UsageError("nothing to fuse: name at least one output")
-    sources = _read([place_of(path) for path in outputs])
+    sources = _read([place_of(path) for path in outputs], progress)
     if output is not None:
         for source in sources:
             if _is_same(place_of(output), source.path):
@@ -142,6 +145,7 @@ def fuse(
             ],
             "separate_ids": separate_ids,
         },
+        progress=progress,
     )
 
 
@@ -151,10 +155,11 @@ def _is_same(one: Place, other: Place) -> bool:
     return one == other
 
 
-def _read(paths: Sequence[Place]) -> list[_Output]:
+def _read(paths: Sequence[Place], progress: Progress) -> list[_Output]:
     names: list[str] = []
     sources = []
-    for path in paths:
+    for count, path in enumerate(paths):
+        progress("reading", count, len(paths), "outputs")
         stem, number = _stem(path), 1
         name = stem
         while name in names:

@@ -12,15 +12,21 @@ from mclass.logs.reader import LogReader
 from mclass.logs.survey import Survey, survey
 from mclass.model import FieldMapping, TransformSource
 from mclass.places import Place
+from mclass.progress import Progress, in_bytes, unheard
 
 
-def template_for(log: Place) -> str:
+def template_for(log: Place, progress: Progress = unheard) -> str:
     """The commented model file that fits a log: its topics, its labels, its frames.
+
+    Args:
+        log: To look through.
+        progress: Told how far the work is.
 
     Raises:
         LogError: If the log cannot be read.
     """
     with LogReader.open(log) as reader:
+        reader.on_read = in_bytes(progress, "reading")
         found = survey(reader)
     sensor = found.sensors[0] if found.sensors else None
     return model_template(

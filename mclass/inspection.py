@@ -15,13 +15,17 @@ from mclass.logs.reader import LogReader
 from mclass.logs.survey import Survey, survey
 from mclass.outputs.readback import OutputLog
 from mclass.places import Place
+from mclass.progress import Progress, in_bytes, unheard
 from mclass.results import CellReport
 from mclass.text.logs import LogFacts, Verification
 
 
-def look_over(log: Path, model_path: Path | None, *, verify: bool) -> tuple[LogFacts, Survey]:
+def look_over(
+    log: Place, model_path: Path | None, *, verify: bool, progress: Progress = unheard
+) -> tuple[LogFacts, Survey]:
     """What is in a log, by the model that `estimate` would use if there is one."""
     with LogReader.open(log) as reader:
+        reader.on_read = in_bytes(progress, "reading")
         model = None
         path = model_path or find_model_file(log)
         attached = reader.attachment(MODEL_FILE_NAME)
@@ -30,7 +34,7 @@ def look_over(log: Path, model_path: Path | None, *, verify: bool) -> tuple[LogF
         elif attached is not None:
             model = parse_model(attached, f"{log.name}#{MODEL_FILE_NAME}")
         found = survey(reader, model)
-        verification = _verified(reader) if verify else None
+        verification = _verified(reader, progress) if verify else None
         problems = verification.problems if verification else ()
         unreadable = undecoded(found.unreadable)
         facts = LogFacts(
@@ -51,9 +55,9 @@ def look_over(log: Path, model_path: Path | None, *, verify: bool) -> tuple[LogF
     return facts, found
 
 
-def _verified(reader: LogReader) -> Verification:
+def _verified(reader: LogReader, progress: Progress) -> Verification:
     """Check every byte of a log."""
-    problems = reader.verify()
+    problems = reader.verify(in_bytes(progress, "verifying"))
     return Verification(
         bytes=reader.size,
         chunks=len(reader.index.chunks),

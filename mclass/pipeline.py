@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -35,8 +35,10 @@ from mclass.memory import require_memory
 from mclass.model import Model
 from mclass.outputs.channels import Encoding, OutputChannels
 from mclass.places import Place, PlaceLike, Url, place_of
+from mclass.progress import Progress, in_bytes, unheard
 from mclass.records import LabelMeasurements, Tally
-from mclass.results import ObjectEstimate
+from mclass.results import BeliefBlock, ObjectEstimate
+from mclass.summary import Readout
 
 ModelSource: TypeAlias = "Model | str | os.PathLike[str]"
 """A model, the path of a model file, or the text of one (recognised by its line breaks)."""
@@ -77,6 +79,7 @@ def estimate(
     only_new: bool = False,
     in_place: bool = False,
     threads: int = 1,
+    progress: Progress = unheard,
 ) -> Estimate:
     """Estimate every object and every cell of a log.
 
@@ -94,6 +97,7 @@ def estimate(
         in_place: Append the results to the log itself; ``output`` must be None. A run that is
             killed leaves a journal beside the log, by which it is restored when next opened.
         threads: Of the grid; the results are the same for any number.
+        progress: Told how far the work is.
 
     Raises:
         ConfigError: The model is wrong or missing.
@@ -106,6 +110,7 @@ def estimate(
     if in_place and isinstance(place_of(log), Url):
         raise UsageError(f"{place_of(log)}: in place, the log must be a file")
     with LogReader.open(log) as reader:
+        reader.on_read = in_bytes(progress, "reading")
         if model is None:
             attached = reader.attachment(MODEL_FILE_NAME)
             model = find_model(reader.path, attached, reader.damage.losses)
@@ -124,7 +129,7 @@ def estimate(
             _refuse_second_results(reader, prefix)
             output = reader.path
         if output is None:
-            found = _solve(problem, contents.frame, None, every_s, threads)
+            found = _solve(problem, contents.frame, None, every_s, threads, progress)
         else:
             with ThreadPoolExecutor(max_workers=1) as pool, contextlib.ExitStack() as stack:
                 digest = pool.submit(reader.source.hash)
@@ -139,12 +144,13 @@ def estimate(
                         overwrite=overwrite,
                         carry_over=not only_new,
                         in_place=in_place,
+                        progress=in_bytes(progress, "copying"),
                     )
                 )
                 channels = OutputChannels(
                     writer, contents.encoding, contents.frame, model, prefix=prefix
                 )
-                found = _solve(problem, contents.frame, channels, every_s, threads)
+                found = _solve(problem, contents.frame, channels, every_s, threads, progress)
                 skipped = {**contents.tally.counts, **found.skipped}
                 _refuse_nothing(found.used, skipped, losses, reader.path, windowed=windowed)
                 settings = {
@@ -189,6 +195,7 @@ def infer(
     prefix: str = "/mclass",
     overwrite: bool = False,
     settings: Mapping[str, Any] | None = None,
+    progress: Progress = unheard,
 ) -> Estimate:
     """Estimate every object and every cell from measurements.
 
@@ -202,6 +209,7 @@ def infer(
         prefix: Of the topics.
         overwrite: Replace an existing output.
         settings: What else the output's metadata record shall say.
+        progress: Told how far the work is.
 
     Raises:
         ConfigError: The model is wrong.
@@ -225,7 +233,7 @@ def infer(
                 LogWriter(place_of(output), profile=profile, overwrite=overwrite)
             )
             channels = OutputChannels(writer, encoding, frame, model, prefix=prefix)
-        found = _solve(problem, frame, channels, every_s)
+        found = _solve(problem, frame, channels, every_s, progress=progress)
         if channels is not None:
             log_time_ns = int(measurements.frames.log_times_ns.max(initial=0))
             channels.write_header(
@@ -296,12 +304,13 @@ def _solve(
     channels: OutputChannels | None,
     every_s: float | None,
     threads: int = 1,
+    progress: Progress = unheard,
 ) -> Estimate:
     """Estimate, writing results as they come if there is somewhere to write them."""
     measurements = problem.measurements
-    updates, beliefs = estimate_objects(problem)
+    updates, beliefs = _followed(problem, progress)
     grid = GridEstimate(problem, _cuts(problem, every_s), threads)
-    blocks = itertools.chain(grid.blocks(), beliefs)
+    blocks = itertools.chain(_counted(grid.blocks(), progress), beliefs)
     if channels is None:
         for _ in blocks:
             pass
@@ -335,6 +344,27 @@ def _solve(
         idle=sum(idle.values()),
         problem=problem,
     )
+
+
+def _followed(
+    problem: Problem, progress: Progress
+) -> tuple[list[ObjectEstimate], list[BeliefBlock]]:
+    """Every object's estimates and belief, counting measurements."""
+    total, done = len(problem.used), itertools.count(1)
+    progress("following objects", 0, total, "measurements")
+
+    def watch(estimate: ObjectEstimate, readout: Readout) -> None:
+        progress("following objects", next(done), total, "measurements")
+
+    return estimate_objects(problem, watch=watch)
+
+
+def _counted(blocks: Iterable[BeliefBlock], progress: Progress) -> Iterator[BeliefBlock]:
+    """The grid's blocks as they come, counting tiles."""
+    progress("mapping", 0, 0, "tiles")
+    for block in blocks:
+        progress("mapping", block.block + 1, block.blocks, "tiles")
+        yield block
 
 
 def _cuts(problem: Problem, every_s: float | None) -> list[Cut]:

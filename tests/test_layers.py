@@ -30,7 +30,7 @@ MATHEMATICS = (
     ("cells", "arrays", "joining"),
 )
 LAYERS = (
-    ("parallel",),
+    ("parallel", "progress"),
     *MATHEMATICS,
     ("places",),
     ("resources", "rules", "findings"),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.console import console
 from mclass.commands.options import LOG, PlaceType, echo_json, format_option, time_options
 
 if TYPE_CHECKING:
@@ -203,22 +204,19 @@ class _Progress:
         self.done = self.total = self._failed = 0
         self._now = time.monotonic
         self._began = self._now()
-        self._shown = sys.stderr.isatty()
+        self._console = console()
 
     def __call__(self, done: int, total: int, result: LogResult | None) -> None:
         self.done, self.total = done, total
         self._failed += result is not None and result.status == "failed"
-        if not self._shown:
-            return
         text = f"{done} of {total} logs"
         if self._failed:
             text += f", {self._failed} failed"
         if done:
             left = (self._now() - self._began) / done * (total - done)
             text += f", {left:.0f} s left"
-        click.echo(f"\r\x1b[K{text}", err=True, nl=False)
+        self._console.line(text)
 
     def clear(self) -> None:
         """Remove the line."""
-        if self._shown:
-            click.echo("\r\x1b[K", err=True, nl=False)
+        self._console.clear()

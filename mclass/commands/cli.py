@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 from mclass import __version__
+from mclass.commands.console import add_verbosity
 from mclass.errors import MclassError
 
 _COMMANDS: Mapping[str, str] = {
@@ -45,7 +46,7 @@ class MclassGroup(click.Group):
             return None
         module, name = _COMMANDS[cmd_name].split(":")
         command: click.Command = getattr(import_module(module), name)
-        return command
+        return add_verbosity(command)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; every error ends as one message and its exit code."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mclass.commands.console import console
 from mclass.commands.options import (
     LOG,
     echo_json,
@@ -95,22 +96,27 @@ def estimate(
     from mclass.parallel import available_threads
     from mclass.pipeline import default_output
     from mclass.pipeline import estimate as estimate_log
+    from mclass.text.reports import choices_text
 
     if output is None and not in_place:
         output = default_output(log)
-    found = estimate_log(
-        log,
-        model_path,
-        output=output,
-        start=start,
-        end=end,
-        every_s=every_s,
-        prefix=prefix,
-        overwrite=overwrite,
-        only_new=only_new,
-        in_place=in_place,
-        threads=threads or available_threads(),
-    )
+    threads = threads or available_threads()
+    with console() as tell:
+        found = estimate_log(
+            log,
+            model_path,
+            output=output,
+            start=start,
+            end=end,
+            every_s=every_s,
+            prefix=prefix,
+            overwrite=overwrite,
+            only_new=only_new,
+            in_place=in_place,
+            threads=threads,
+            progress=tell.progress,
+        )
+    tell.detail(choices_text(found, threads))
     facts: dict[str, Any] = {
         "input_path": str(log),
         "output_path": str(found.output),
@@ -121,7 +127,7 @@ def estimate(
         "class_names": found.class_names,
         "frame": found.frame,
         "damage": found.damage,
-        "notes": found.notes,
+        "notes": () if tell.quiet and output_format == "text" else found.notes,
     }
     if output_format == "json":
         from mclass.text.documents import estimate_json
@@ -133,7 +139,7 @@ def estimate(
 
         click.echo(estimate_text(**facts, terminal=Terminal.of(sys.stdout)))
     if plot_path is not None and found.maps is None:
-        click.echo("Warning: nothing to draw: no detection points anywhere on the grid", err=True)
+        tell.warn("nothing to draw: no detection points anywhere on the grid")
     elif plot_path is not None and found.maps is not None:
         from mclass.plot.maps import map_figure, ray_segments
         from mclass.plot.style import save_figure

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.console import console
 from mclass.commands.options import LOG, echo_json, format_option, overwrite_option
 
 if TYPE_CHECKING:
@@ -75,19 +76,22 @@ def fuse(
     """
     from mclass.fusion import fuse as fuse_outputs
     from mclass.text.documents import estimate_json
-    from mclass.text.reports import estimate_text
+    from mclass.text.reports import choices_text, estimate_text
     from mclass.text.terminal import Terminal
 
-    found = fuse_outputs(
-        outputs,
-        output,
-        frames=frames,
-        model=model_path,
-        separate_ids=separate_ids,
-        frame=frame,
-        prefix=prefix,
-        overwrite=overwrite,
-    )
+    with console() as tell:
+        found = fuse_outputs(
+            outputs,
+            output,
+            frames=frames,
+            model=model_path,
+            separate_ids=separate_ids,
+            frame=frame,
+            prefix=prefix,
+            overwrite=overwrite,
+            progress=tell.progress,
+        )
+    tell.detail(choices_text(found, threads=1))
     names = ", ".join(map(str, outputs))
     if output_format == "json":
         document = estimate_json(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.console import console
 from mclass.commands.options import LOG, overwrite_option
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ def init(log: Place, output: Path | None, overwrite: bool) -> None:
     from mclass.initialise import template_for, write_model_file
     from mclass.text.terminal import Terminal
 
-    text = template_for(log)
+    with console() as tell:
+        text = template_for(log, tell.progress)
     if output is not None and str(output) == "-":
         click.echo(text, nl=False)
         return

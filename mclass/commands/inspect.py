@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.console import console
 from mclass.commands.options import (
     FILE,
     LOG,
@@ -60,10 +62,13 @@ def inspect_log(
     from mclass.text.logs import log_json, log_text
     from mclass.text.terminal import Terminal
 
-    facts, survey = look_over(log, model_path, verify=verify)
+    with console() as tell:
+        facts, survey = look_over(log, model_path, verify=verify, progress=tell.progress)
     if output_format == "json":
         echo_json(log_json(facts, survey))
     else:
+        if tell.quiet:
+            survey = replace(survey, notes=())
         click.echo(log_text(facts, survey, Terminal.of(sys.stdout)))
     if facts.damage:
         ctx.exit(3)

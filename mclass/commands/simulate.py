@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.console import console
 from mclass.commands.options import overwrite_option
 
 if TYPE_CHECKING:
@@ -74,11 +75,15 @@ def simulate(
     log = output if output is not None else Path(scenario.stem + ".mcap")
     if truth_path is not None and truth_path.resolve() == log.resolve():
         raise click.UsageError("--truth and --output name the same file; give it another name")
-    drive = play(load_scenario(scenario), seed)
-    if truth_path is None:
-        write_log(drive, log, encoding, overwrite=overwrite)
-    else:
-        write_truth_and_log(drive, truth_path, log, encoding, overwrite=overwrite)
+    with console() as tell:
+        tell.progress("driving", 0, 0, "")
+        drive = play(load_scenario(scenario), seed)
+        if truth_path is None:
+            write_log(drive, log, encoding, overwrite=overwrite, progress=tell.progress)
+        else:
+            write_truth_and_log(
+                drive, truth_path, log, encoding, overwrite=overwrite, progress=tell.progress
+            )
     frames, detections = len(drive.frames), len(drive.detections)
     shown = Terminal.of(sys.stdout).clean(str(log), 1000)
     click.echo(

@@ -125,9 +125,11 @@ class LogReader:
         damage: What could not be used; grows while the log is read.
         index: Where everything is; for ``LogWriter``.
         source: The file's bytes; for ``LogWriter``.
+        on_read: Called with bytes done and bytes in all while messages are read.
     """
 
     def __init__(self, source: Source, path: PlaceLike | None = None) -> None:
+        self.on_read: Callable[[int, int], None] | None = None
         self.path = place_of(source.name if path is None else path)
         self.source = source
         self.size = source.size
@@ -305,6 +307,8 @@ class LogReader:
             )
 
         for entry, content in self._contents(relevant):
+            if self.on_read is not None:
+                self.on_read(entry.offset + entry.length, self.size)
             if content is None:
                 for channel_id in wanted & (entry.counts or {}).keys():
                     seen[channel_id] += (entry.counts or {})[channel_id]

@@ -14,6 +14,7 @@ from mclass.logs.pending import PendingFile
 from mclass.logs.writer import LogWriter
 from mclass.messages import proto_files, proto_json, protobuf, ros
 from mclass.messages.prepared import Value
+from mclass.progress import Progress, unheard
 from mclass.simulation.messages import Message, foxglove_messages, ros_messages
 from mclass.simulation.world import Drive
 
@@ -21,6 +22,8 @@ Encoding: TypeAlias = Literal["ros2", "protobuf", "json"]
 
 TRUTH_NAME = "truth.json"
 METADATA_NAME = "mclass_simulation"
+
+_TOLD_EVERY = 256
 
 
 class _Codec(Protocol):
@@ -68,7 +71,12 @@ _FORMATS: dict[Encoding, _Format] = {
 
 
 def write_log(
-    drive: Drive, output: Path, encoding: Encoding = "ros2", *, overwrite: bool = False
+    drive: Drive,
+    output: Path,
+    encoding: Encoding = "ros2",
+    *,
+    overwrite: bool = False,
+    progress: Progress = unheard,
 ) -> None:
     """Write a drive; messages are in the order of their log times.
 
@@ -77,6 +85,7 @@ def write_log(
         output: Path of the log.
         encoding: Of all its messages.
         overwrite: Replace an existing file.
+        progress: Told how far the work is.
 
     Raises:
         LogError: If the log cannot be written; nothing is left behind then.
@@ -84,7 +93,9 @@ def write_log(
     form = _FORMATS[encoding]
     schemas: dict[str, str] = {}
     encoded: list[tuple[int, str, bytes]] = []
-    for message in form.messages(drive):
+    for count, message in enumerate(form.messages(drive)):
+        if count % _TOLD_EVERY == 0:
+            progress("encoding", count, 0, "messages")
         schemas[message.topic] = message.schema_name
         data = form.codec(message.schema_name).encode(message.value)
         encoded.append((message.log_time_ns, message.topic, data))
@@ -97,8 +108,11 @@ def write_log(
             )
             for topic, name in schemas.items()
         }
-        for log_time_ns, topic, data in encoded:
+        for count, (log_time_ns, topic, data) in enumerate(encoded):
+            if count % _TOLD_EVERY == 0:
+                progress("writing", count, len(encoded), "messages")
             writer.write(channels[topic], log_time_ns, data)
+        progress("writing", len(encoded), len(encoded), "messages")
         writer.attach(TRUTH_NAME, "application/json", truth_text(drive).encode(), start_ns)
         if drive.scenario.model is not None:
             source = drive.scenario.model.source.encode()
@@ -114,6 +128,7 @@ def write_truth_and_log(
     encoding: Encoding = "ros2",
     *,
     overwrite: bool = False,
+    progress: Progress = unheard,
 ) -> None:
     """Write a drive as `write_log` does, and its truth to a file of its own: both or neither.
 
@@ -124,7 +139,7 @@ def write_truth_and_log(
     try:
         truth_file.open()
         truth_file.write(truth_text(drive).encode())
-        write_log(drive, output, encoding, overwrite=overwrite)
+        write_log(drive, output, encoding, overwrite=overwrite, progress=progress)
         truth_file.publish()
     finally:
         truth_file.discard()

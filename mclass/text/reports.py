@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from mclass.results import ObjectEstimate
 from mclass.text.objects import objects_text
 from mclass.text.terminal import Terminal, wrap
+from mclass.text.values import count_text
+
+if TYPE_CHECKING:
+    from mclass.findings import Estimate
 
 _LISTED_REASONS = 20
 
@@ -39,6 +44,19 @@ def estimate_text(
         text = wrap(f"damaged       {terminal.clean(sentence, 1000)}", terminal, " " * 14)
         lines += [terminal.paint(line, "warning") for line in text]
     return "\n".join([*lines, "", objects_text(objects, class_names, frame, terminal)])
+
+
+def choices_text(found: Estimate, threads: int) -> str:
+    """What was chosen for a run, for those who ask for details."""
+    settings, grid = found.model.grid, found.problem.grid
+    looks = count_text(len(found.measurements.frames), "frame")
+    cells = "no grid: no detection points anywhere"
+    if grid is not None:
+        cells = f"grid of {grid.rows} x {grid.columns} cells of {grid.cell_size:g} m"
+    return (
+        f"preset {found.model.inference.preset}, {looks}, {cells}, "
+        f"{settings.orientation_bins} orientation bins, {count_text(threads, 'thread')}"
+    )
 
 
 def skipped_lines(skipped: Mapping[str, int], terminal: Terminal) -> list[str]:
