@@ -6,18 +6,26 @@ Each look's evidence is therefore divided by the number of looks around it,
     w = 1 / sum_n exp(-1/2 [(Δrange / l_r)² + (Δdirection / l_d)²]),
 
 the sum taken over all looks at the same cell, itself included. The sum is read from a lattice
-over range and direction, so its cost grows with the looks, not with their pairs.
+over range and direction, so its cost grows with the looks, not with their pairs: looks are
+spread over nodes by quintic B-splines, convolved, and read by the same splines. The convolution
+undoes the widening by both, so that where the nodes lie does not show.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from mclass.records import FloatArray, IntArray
+from mclass.table import REACH, quintic_weights
 
 _NODES_PER_WIDTH = 2.0
+_TAPS = 2 * REACH
+_FREQUENCIES = 1024
+_LOOKS_AT_ONCE = 2**12
 
 
 @dataclass
@@ -40,46 +48,46 @@ class LookLattice:
 
     def __post_init__(self) -> None:
         self._range_step = self.range_width / _NODES_PER_WIDTH
-        n_ranges = int(np.ceil(self.reach / self._range_step)) + 2
-        n_directions = max(4, int(np.ceil(2.0 * np.pi * _NODES_PER_WIDTH / self.direction_width)))
+        n_ranges = int(np.ceil(self.reach / self._range_step)) + _TAPS
+        # Whole nodes to a quarter turn: worlds are often turned by that.
+        quarter = int(np.ceil(np.pi / 2.0 * _NODES_PER_WIDTH / self.direction_width))
+        n_directions = 4 * max(_TAPS, quarter)
         self._direction_step = 2.0 * np.pi / n_directions
         self._counts = np.zeros((self.cells, n_ranges, n_directions))
 
     def deposit(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> None:
         """Add looks: number of the cell, range [m] and direction [rad] of each, (p,)."""
-        nodes, shares = self._nodes(cells, ranges, directions)
-        total = np.bincount(nodes.ravel(), weights=shares.ravel(), minlength=self._counts.size)
-        self._counts += total.reshape(self._counts.shape)
+        counts = self._counts.ravel()
+        for part in _parts(len(cells)):
+            spread = self._spread(cells[part], ranges[part], directions[part])
+            np.add.at(counts, spread.indices, spread.data)
         self._smooth = None
 
     def weights(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> FloatArray:
-        """Weight of looks that were deposited, (p,)."""
+        """Weight of looks that were deposited, at most 1, (p,)."""
         if self._smooth is None:
-            self._smooth = self._smoothed()
-        nodes, shares = self._nodes(cells, ranges, directions)
-        return np.asarray(1.0 / (shares * self._smooth.ravel()[nodes]).sum(axis=0))
+            self._smooth = self._smoothed().ravel()
+        weights = np.empty(len(cells))
+        for part in _parts(len(cells)):
+            counts = self._spread(cells[part], ranges[part], directions[part]) @ self._smooth
+            # Each counts itself, rounding apart.
+            weights[part] = 1.0 / np.maximum(counts, 1.0)
+        return weights
 
-    def _nodes(
-        self, cells: IntArray, ranges: FloatArray, directions: FloatArray
-    ) -> tuple[IntArray, FloatArray]:
-        """The four lattice nodes around each look and its shares in them, (4, p) each."""
+    def _spread(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> csr_array:
+        """How much of each look is in each lattice node, (p, nodes)."""
         _, n_ranges, n_directions = self._counts.shape
-        row, row_share = _split(ranges / self._range_step)
-        column, column_share = _split(np.remainder(directions, 2.0 * np.pi) / self._direction_step)
-        low = (cells * n_ranges + row) * n_directions
-        left, right = column % n_directions, (column + 1) % n_directions
-        nodes = np.stack(
-            [low + left, low + right, low + n_directions + left, low + n_directions + right]
-        )
-        shares = np.stack(
-            [
-                (1.0 - row_share) * (1.0 - column_share),
-                (1.0 - row_share) * column_share,
-                row_share * (1.0 - column_share),
-                row_share * column_share,
-            ]
-        )
-        return nodes, shares
+        row, row_shares = quintic_weights(ranges / self._range_step)
+        column, column_shares = quintic_weights(directions / self._direction_step)
+        taps = np.arange(_TAPS)
+        kind = np.int32 if self._counts.size < 2**31 else np.int64
+        rows = (((cells * n_ranges + row)[:, None] + taps) * n_directions).astype(kind)
+        columns = np.remainder(column[:, None] + taps, n_directions).astype(kind)
+        nodes = rows[:, :, None] + columns[:, None, :]
+        shares = row_shares.T[:, :, None] * column_shares.T[:, None, :]
+        starts = np.arange(0, _TAPS**2 * len(cells) + 1, _TAPS**2, dtype=kind)
+        shape = (len(cells), self._counts.size)
+        return csr_array((shares.ravel(), nodes.ravel(), starts), shape=shape)
 
     def _smoothed(self) -> FloatArray:
         """The counts convolved with the kernel."""
@@ -87,22 +95,29 @@ class LookLattice:
         row = np.abs(np.subtract.outer(np.arange(n_ranges), np.arange(n_ranges)))
         around = np.abs(np.subtract.outer(np.arange(n_directions), np.arange(n_directions)))
         around = np.minimum(around, n_directions - around)
-        rows = _kernel(self._range_step * row, self.range_width, self._range_step)
-        columns = _kernel(self._direction_step * around, self.direction_width, self._direction_step)
+        rows = _kernel(n_ranges, self.range_width / self._range_step)[row]
+        columns = _kernel(n_directions, self.direction_width / self._direction_step)[around]
         return np.asarray((rows @ self._counts) @ columns)
 
 
-def _split(coordinates: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Lattice node below each coordinate, and the share of the node above."""
-    below = np.floor(coordinates)
-    return below.astype(np.int64), coordinates - below
+def _parts(count: int) -> Iterator[slice]:
+    """Looks of which all that is known of their nodes fits the cache."""
+    for start in range(0, count, _LOOKS_AT_ONCE):
+        yield slice(start, start + _LOOKS_AT_ONCE)
 
 
-def _kernel(gaps: FloatArray, width: float, step: float) -> FloatArray:
-    """Gaussian of the gaps, narrowed by what sharing between nodes widens it.
+def _kernel(count: int, width: float) -> FloatArray:
+    """What a Gaussian must be between nodes for spreading and reading to give it back.
 
-    Sharing a look between two nodes, and reading between two nodes, each add a sixth of the
-    squared step to the variance.
+    Args:
+        count: Number of nodes.
+        width: Of the Gaussian, in nodes.
+
+    Returns:
+        Values at distances of 0 to ``count`` - 1 nodes, (count,).
     """
-    narrowed = np.sqrt(width**2 - step**2 / 3.0)
-    return np.asarray(np.exp(-0.5 * (gaps / narrowed) ** 2) * (width / narrowed))
+    frequencies = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
+    spline = np.sinc(frequencies / (2.0 * np.pi)) ** _TAPS
+    spectrum = np.exp(-0.5 * (width * frequencies) ** 2) / spline**2
+    waves = np.cos(np.outer(np.arange(count), frequencies))
+    return np.asarray(np.sqrt(2.0 * np.pi) * width * (waves @ spectrum) / _FREQUENCIES)

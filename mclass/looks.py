@@ -198,7 +198,6 @@ class ObjectLooks:
                 told = pointed + 1
                 shown = self._could_show(seen.select_looks(told), rows[told])
                 belongs[:, told] = np.where(shown, 1.0, own)
-            speaks &= belongs > 0.0
         return Concern(seen, speaks, is_detection, located, log_factor, belongs)
 
     def pairs(self, centers: FloatArray, cell_size: float) -> Pairs:
@@ -216,7 +215,8 @@ class ObjectLooks:
                 self.looks.frames[self.rows[frames]], self.looks.frames[self.rows]
             )
             scale = [weights[:, column] * self.shares * concern.belongs]
-        return joined_pairs([concern.seen], [self.rows], [concern.speaks], scale)
+        masks = [concern.speaks & (concern.belongs > 0.0)]
+        return joined_pairs([concern.seen], [self.rows], masks, scale)
 
     def _log_factor(self, seen: Sight, rows: IntArray) -> FloatArray:
         """What it costs cells that detections point elsewhere, (m, k)."""

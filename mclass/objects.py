@@ -193,12 +193,14 @@ class ObjectFilter:
         if self._lattice is None:
             whole = bool((shares == 1.0).all() and (concern.belongs == 1.0).all())
             return None if whole else np.broadcast_to(shares, concern.speaks.shape)
-        shape = concern.speaks.shape
-        cells = np.repeat(self._lattice_cells, shape[1])
-        seen = concern.seen
-        weights = self._lattice.weights(cells, seen.ranges.ravel(), seen.directions.ravel())
-        # Rounding apart, no look that speaks counts for more than one.
-        return np.asarray(np.minimum(weights, 1.0).reshape(shape) * shares)
+        # Looks that neither speak of a cell nor point away from it need no weight.
+        needed = (concern.speaks & (concern.belongs > 0.0)) | (concern.log_factor < 0.0)
+        cell, _ = np.nonzero(needed)
+        weights = np.zeros(needed.shape)
+        weights[needed] = self._lattice.weights(
+            self._lattice_cells[cell], concern.seen.ranges[needed], concern.seen.directions[needed]
+        )
+        return np.asarray(weights * shares)
 
     def _block(self, start: int, stop: int) -> Iterator[Readout]:
         part = self.looks.within(start, stop)
@@ -253,7 +255,7 @@ class ObjectFilter:
     ) -> Evidence:
         """Evidence of some cells, a row for each cell and each of the (consecutive) steps."""
         n_steps = int(steps[-1]) + 1
-        cell, column = np.nonzero(concern.speaks[cells])
+        cell, column = np.nonzero((concern.speaks & (concern.belongs > 0.0))[cells])
         owner = cell * n_steps + steps[column]
         at = cells[cell]
         pairs = Pairs(
