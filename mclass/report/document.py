@@ -11,14 +11,13 @@ import numpy as np
 
 from mclass.classes import BACKGROUND
 from mclass.config.model_file import parse_model
-from mclass.errors import ConfigError, LogError, UsageError
+from mclass.errors import ConfigError, LogError
 from mclass.logarithms import logsumexp
-from mclass.logs.measurements import read_measurements
-from mclass.logs.times import find_time_bound
 from mclass.model import GridSettings, Model
 from mclass.outputs.colors import BACKGROUND_COLOR, CLASS_COLORS
 from mclass.outputs.readback import OutputLog
-from mclass.records import LabelMeasurements
+from mclass.outputs.track import track_of
+from mclass.records import PoseTrack
 from mclass.report.maps import CellFacts, pack_maps
 from mclass.report.timeline import (
     Json,
@@ -82,7 +81,7 @@ def report_document(output: OutputLog) -> Json:
         "start": stamp_text(steps.start_ns),
         "steps": steps.document(names),
         "objects": objects,
-        "track": _track(output, model, measurements, steps),
+        "track": _track_document(track_of(output, model, measurements), steps),
         "range": number(grid.max_range),
         "map": packed or None,
         # Last, as reading finds damage.
@@ -114,32 +113,14 @@ def _object_density(block: BeliefBlock) -> Json:
     }
 
 
-def _track(
-    output: OutputLog, model: Model | None, measurements: LabelMeasurements, steps: Steps
-) -> Json:
-    """Where the robot went: the log's own poses or, without them, the sensor's at its frames."""
-    frames = measurements.frames
-    name, stamps, poses = "sensor", frames.stamps_ns, frames.poses_world_sensor
-    settings = _json(output, "settings")
-    # A map joined from several logs has no track of its own.
-    if model is not None and "input" in settings:
-        first = output.reader.start_ns or 0
-        bounds = [
-            None if settings.get(key) is None else find_time_bound(str(settings[key]), first)
-            for key in ("start", "end")
-        ]
-        with contextlib.suppress(LogError, UsageError):
-            contents = read_measurements(output.reader, model, *bounds)
-            if contents.frame == output.frame and len(contents.track.stamps_ns):
-                track = contents.track
-                name = track.child_frame or "robot"
-                stamps, poses = track.stamps_ns, track.poses_world_child
-    if len(stamps) > _TRACK_POINTS:
-        kept = np.linspace(0, len(stamps) - 1, _TRACK_POINTS).round().astype(int)
-        stamps, poses = stamps[kept], poses[kept]
+def _track_document(track: PoseTrack, steps: Steps) -> Json:
+    """Where the robot went; of a long way evenly chosen places."""
+    count = len(track.stamps_ns)
+    kept = np.linspace(0, count - 1, min(count, _TRACK_POINTS)).round().astype(int)
+    poses = track.poses_world_child[kept]
     return {
-        "name": shown_name(name),
-        "seconds": numbers(steps.seconds(stamps), 3),
+        "name": shown_name(track.child_frame or "robot"),
+        "seconds": numbers(steps.seconds(track.stamps_ns[kept]), 3),
         "x": numbers(poses[:, 0], 3),
         "y": numbers(poses[:, 1], 3),
     }
@@ -165,7 +146,9 @@ def _facts(output: OutputLog) -> Json:
         "used": used if isinstance(used, int) else None,
         "skipped": [
             [_sentence(str(reason)), int(count)]
-            for reason, count in (skipped.items() if isinstance(skipped, Mapping) else ())
+            for reason, count in sorted(
+                skipped.items() if isinstance(skipped, Mapping) else (), key=lambda item: -item[1]
+            )
         ],
         "notes": sentences(account.get("notes")),
         "damage": sentences(account.get("damage"), output.reader.damage.losses),

@@ -175,6 +175,8 @@ function showLegend(report, layer) {
       const color = index ? report.classes[index - 1].color : mixed(colors.zero, colors.empty, FAINT);
       entries.push(element("span", {}, swatch(color), nameElement(shortened(name, 30))));
     });
+    const hidden = names.length - 1 - CROWD;
+    if (hidden > 0) entries.push(element("span", { class: "faint" }, `and ${hidden} more, in the same colours again`));
     entries.push(element("span", { class: "faint" }, "the fainter, the less probable"));
   } else {
     const bar = element("canvas", { width: "120", height: "12", role: "img", "aria-label": "colour scale" });

@@ -269,6 +269,8 @@ function drawName(pen, view, report, object, update, at, taken, colors, picked) 
     if (box.top < plot.top || box.bottom > plot.top + plot.height) box.cost += 5;
   }
   const best = boxes.reduce((a, b) => (b.cost < a.cost ? b : a));
+  // In a crowd a name that would hide another is left to the table.
+  if (best.cost >= 3 && !picked && report.objects.length > CROWD) return;
   taken.push({ left: best.left, top: best.top, bottom: best.bottom, width });
   pen.textAlign = best.right > 0 ? "left" : "right";
   pen.lineJoin = "round";
@@ -354,8 +356,14 @@ function placeCellBox(box, report, view, cell) {
   const x = view.x(origin[0] + (cell.column + 0.5) * size);
   const y = view.y(origin[1] + (cell.row + 0.5) * size);
   const gap = 14 + (size * view.scale) / 2;
-  const left = x + gap + box.offsetWidth <= view.width ? x + gap : x - gap - box.offsetWidth;
-  const top = Math.min(Math.max(y - box.offsetHeight / 2, 0), view.height - box.offsetHeight);
-  box.style.left = `${Math.max(left, 0)}px`;
-  box.style.top = `${Math.max(top, 0)}px`;
+  const [wide, high] = [box.offsetWidth, box.offsetHeight];
+  let left = x + gap + wide <= view.width ? x + gap : x - gap - wide;
+  let top = Math.min(Math.max(y - high / 2, 0), view.height - high);
+  if (left < 0) {
+    // On a narrow page there is room above or below only.
+    left = Math.min(Math.max(x - wide / 2, 0), view.width - wide);
+    top = y > view.height / 2 ? y - gap - high : y + gap;
+  }
+  box.style.left = `${left}px`;
+  box.style.top = `${top}px`;
 }

@@ -30,7 +30,7 @@ function mapAt(report, step) {
 }
 
 function mapSentence(report, step) {
-  if (!report.map) return "No map: no detection points anywhere.";
+  if (!report.map) return "The output holds no map.";
   const { cut, later } = mapAt(report, step);
   const { seconds, stored } = report.map;
   const many = seconds.length > 1 ? ` (map ${cut + 1} of ${seconds.length})` : "";

@@ -1,6 +1,7 @@
 // From metres to pixels: equal scales, axes with round numbers.
 
 const MARGIN = { left: 52, right: 14, top: 12, bottom: 42 };
+const ROOM = 20; // pixels within the axes, for arrows
 
 // Ranges of x and y [m] that hold everything drawn.
 function extentOf(report) {
@@ -25,7 +26,7 @@ function extentOf(report) {
       high = Math.max(high, value);
     }
     if (low > high) [low, high] = [-1, 1];
-    const half = Math.max((high - low) / 2, 0.5) * 1.04;
+    const half = Math.max((high - low) / 2, 0.5);
     const middle = (low + high) / 2;
     return [middle - half, middle + half];
   };
@@ -37,8 +38,10 @@ function viewOf(extent, width) {
   const plotWidth = Math.max(width - MARGIN.left - MARGIN.right, 80);
   const wide = extent.x[1] - extent.x[0];
   const high = extent.y[1] - extent.y[0];
-  const plotHeight = Math.min(Math.max((plotWidth * high) / wide, 240), 680);
-  const scale = Math.min(plotWidth / wide, plotHeight / high);
+  const [innerWidth, most] = [plotWidth - 2 * ROOM, 680 - 2 * ROOM];
+  const innerHeight = Math.min(Math.max((innerWidth * high) / wide, 200), most);
+  const plotHeight = innerHeight + 2 * ROOM;
+  const scale = Math.min(innerWidth / wide, innerHeight / high);
   const middle = { x: (extent.x[0] + extent.x[1]) / 2, y: (extent.y[0] + extent.y[1]) / 2 };
   const plot = { left: MARGIN.left, top: MARGIN.top, width: plotWidth, height: plotHeight };
   return {
