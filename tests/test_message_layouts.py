@@ -34,7 +34,7 @@ from scene_logs import (
 )
 
 from mclass.errors import LogError
-from mclass.logs.fields import guess_detection_fields
+from mclass.logs.guesses import guess_detection_fields
 from mclass.logs.measurements import LogContents
 from mclass.model import FieldMapping, Model
 

@@ -32,15 +32,14 @@ from mclass.logs.families import (
     plain_schema_name,
     role_of,
 )
+from mclass.logs.field_mapping import mapped_detection_fields, mapped_pose_fields
 from mclass.logs.fields import (
     DetectionFields,
     PoseFields,
     family_detection_fields,
     family_pose_fields,
-    guess_detection_fields,
-    mapped_detection_fields,
-    mapped_pose_fields,
 )
+from mclass.logs.guesses import guess_detection_fields
 from mclass.logs.reader import ChannelInfo, LogReader
 from mclass.logs.tables import Decoders
 from mclass.model import FieldMapping, Model, TransformSource
