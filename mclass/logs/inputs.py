@@ -19,10 +19,11 @@ from mclass.logs.detections import (
 )
 from mclass.logs.families import LABEL_NAME_FIELDS
 from mclass.logs.labels import numbered_names
+from mclass.logs.pose_sources import PoseSource
 from mclass.logs.poses import Track
 from mclass.logs.reader import LogReader
 from mclass.logs.sensors import CameraTrack, Sensor, choose_camera, find_sensor, read_camera
-from mclass.logs.sources import PoseSource, Sources
+from mclass.logs.sources import Sources
 from mclass.logs.tables import Decoders, Table, read_tables
 from mclass.model import Model, TransformSource
 from mclass.records import IntArray, PoseTrack, Tally

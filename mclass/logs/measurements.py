@@ -23,7 +23,8 @@ from mclass.logs.inputs import InputReader, Inputs
 from mclass.logs.labels import known_labels, merge_labels
 from mclass.logs.reader import LogReader
 from mclass.logs.sensors import Sensor
-from mclass.logs.sources import Sources, topics_present
+from mclass.logs.sources import Sources
+from mclass.logs.topics import topics_present
 from mclass.model import Model
 from mclass.records import (
     BoolArray,

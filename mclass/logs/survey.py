@@ -16,7 +16,7 @@ from mclass.logs.families import role_of
 from mclass.logs.inputs import InputReader, Inputs
 from mclass.logs.labels import translate_labels
 from mclass.logs.reader import ChannelInfo, LogReader
-from mclass.logs.sources import own_prefix
+from mclass.logs.topics import own_prefix
 from mclass.model import Model
 
 _PAIRED_LABELS = 100
