@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lichtblick import check_layout
 from lopsided_results import CLASS_NAMES, STAMP_NS, estimate, maps, mode
 from mcap.reader import make_reader
 from written_output import (
@@ -467,57 +468,6 @@ def test_unbounded_deviations_are_written(tmp_path: Path) -> None:
 # Layouts
 
 
-def panels_in(node: Any) -> list[str]:
-    """Ids of all panels in a layout's tree."""
-    if isinstance(node, str):
-        return [node]
-    assert set(node) == {"direction", "first", "second", "splitPercentage"}
-    assert node["direction"] in ("row", "column")
-    return panels_in(node["first"]) + panels_in(node["second"])
-
-
-def check_layout(content: dict[str, Any]) -> None:
-    """The structure that Foxglove and Lichtblick document for layouts and their panels."""
-    assert set(content) == {
-        "configById",
-        "globalVariables",
-        "userNodes",
-        "playbackConfig",
-        "layout",
-    }
-    panels = panels_in(content["layout"])
-    assert sorted(panels) == sorted(content["configById"])
-    assert {panel.partition("!")[0] for panel in panels} == {"3D", "Plot", "RawMessages"}
-    view = content["configById"]["3D!mclass"]
-    assert set(view) <= {
-        "cameraState",
-        "followMode",
-        "followTf",
-        "scene",
-        "transforms",
-        "topics",
-        "layers",
-    }
-    assert set(view["cameraState"]) == {
-        "distance",
-        "perspective",
-        "phi",
-        "target",
-        "targetOffset",
-        "targetOrientation",
-        "thetaOffset",
-        "fovy",
-        "near",
-        "far",
-    }
-    assert view["followMode"] in ("follow-pose", "follow-position", "follow-none")
-    for settings in view["topics"].values():
-        assert isinstance(settings["visible"], bool)
-        assert settings.get("colorMode", "custom") in ("rgba-fields", "custom")
-    for path in content["configById"]["Plot!mclass"]["paths"]:
-        assert set(path) == {"value", "label", "enabled", "timestampMethod"}
-
-
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_the_attached_layout_shows_what_was_written(
     encoding: str, outputs: dict[str, Path]
@@ -567,11 +517,3 @@ def test_class_maps_wear_the_colours_of_their_classes(outputs: dict[str, Path]) 
 def test_missing_files_are_named() -> None:
     with pytest.raises(MclassError, match=r"schemas/mclass/Nothing\.proto of mclass is missing"):
         resources.read_text("schemas", "mclass/Nothing.proto")
-
-
-def test_ids_that_would_break_a_plot_path_are_not_plotted() -> None:
-    content = layout_for("map", ("c1",), encoding="json", object_ids=('a"b', "c\n", "ok"))
-    paths = [path["value"] for path in content["configById"]["Plot!mclass"]["paths"]]
-    assert paths == [
-        f'/mclass/objects.objects[:]{{id=="ok"}}.classes[{index}].probability' for index in range(2)
-    ]

@@ -6,6 +6,8 @@ known; a layout names both.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
@@ -17,10 +19,18 @@ Json: TypeAlias = dict[str, Any]
 
 _VIEW = "3D!mclass"
 _PLOT = "Plot!mclass"
+_STATES = "StateTransitions!mclass"
 _MESSAGES = "RawMessages!mclass"
 _MOST_SERIES = 12
 _DEFAULT_WIDTH = 12.0
 _MARGIN = 1.25
+_MOST_LINES = 200
+"""Of the grid of metres; more would make a surface of it."""
+
+_TITLE_KEYS = ("lichtblickPanelTitle", "foxglovePanelTitle")
+"""Each of the viewers reads its own."""
+
+_PLAIN_TOPIC = re.compile(r"[A-Za-z0-9_/-]+")
 
 
 def layout_for(
@@ -67,11 +77,12 @@ def layout_for(
             # Arrows of the same poses are in the markers: these stand by.
             shown[topic] = {"visible": False, "type": "axis", "axisScale": 0.5}
 
-    source = f"{prefix}/{'estimates' if encoding == 'ros2' else 'objects'}"
+    source = _topic_path(f"{prefix}/{'estimates' if encoding == 'ros2' else 'objects'}")
     return {
         "configById": {
             _VIEW: _view(frame, shown, grid),
             _PLOT: _plot(source, classes, object_ids),
+            _STATES: _states(source, object_ids),
             _MESSAGES: {
                 "topicPath": source,
                 "diffEnabled": False,
@@ -89,8 +100,13 @@ def layout_for(
             "second": {
                 "direction": "column",
                 "first": _PLOT,
-                "second": _MESSAGES,
-                "splitPercentage": 50,
+                "second": {
+                    "direction": "column",
+                    "first": _STATES,
+                    "second": _MESSAGES,
+                    "splitPercentage": 40,
+                },
+                "splitPercentage": 45,
             },
             "splitPercentage": 65,
         },
@@ -134,28 +150,43 @@ def _view(frame: str, topics: Json, grid: Grid | None) -> Json:
         "scene": {"transforms": {"showLabel": True, "axisScale": 0.5}},
         "transforms": {},
         "topics": topics,
-        "layers": {},
+        "layers": {"mclass-metres": _metres(center, width)},
     }
     if frame:
         view["followTf"] = frame
     return view
 
 
+def _metres(center: Sequence[float], width: float) -> Json:
+    """Lines on the ground a metre apart, or ten, hundred ...: the scale of what is seen."""
+    spacing = 10.0 ** max(math.ceil(math.log10(width / _MOST_LINES)), 0)
+    divisions = math.ceil(width / spacing)
+    divisions += divisions % 2  # Lines go through whole numbers of metres then.
+    return {
+        "visible": True,
+        "frameLocked": True,
+        "label": f"{spacing:g} m",
+        "instanceId": "mclass-metres",
+        "layerId": "foxglove.Grid",
+        "size": divisions * spacing,
+        "divisions": divisions,
+        "lineWidth": 1,
+        "color": "#88888866",
+        "position": [*(spacing * round(place / spacing) for place in center[:2]), -0.01],
+        "rotation": [0, 0, 0],
+    }
+
+
 def _plot(source: str, classes: Sequence[str], object_ids: Sequence[str]) -> Json:
     """Class probabilities over time."""
-    plain = [name for name in object_ids if name.isprintable() and not set(name) & set("\"'\\")]
-    chosen = [(f"{name}: ", f'[:]{{id=="{name}"}}') for name in plain] or [("", "[0]")]
     series = [
-        (f"{title}{name}", f"{source}.objects{element}.classes[{index}].probability")
-        for title, element in chosen
+        (f"{title}: {name}" if title else name, f"{element}.classes[{index}].probability")
+        for title, element in _elements(source, object_ids)
         for index, name in enumerate((BACKGROUND, *classes))
     ]
     return {
-        "title": "P(class)",
-        "paths": [
-            {"value": path, "label": label, "enabled": True, "timestampMethod": "receiveTime"}
-            for label, path in series[:_MOST_SERIES]
-        ],
+        **dict.fromkeys(_TITLE_KEYS, "P(class)"),
+        "paths": _paths(series),
         "minYValue": 0,
         "maxYValue": 1,
         "showLegend": True,
@@ -167,3 +198,50 @@ def _plot(source: str, classes: Sequence[str], object_ids: Sequence[str]) -> Jso
         "xAxisVal": "timestamp",
         "sidebarDimension": 240,
     }
+
+
+def _states(source: str, object_ids: Sequence[str]) -> Json:
+    """The class named, over time."""
+    series = [
+        (title or "class", f"{element}.class_name")
+        for title, element in _elements(source, object_ids)
+    ]
+    return {
+        **dict.fromkeys(_TITLE_KEYS, "Class named"),
+        "isSynced": True,
+        "paths": _paths(series),
+    }
+
+
+def _paths(series: Sequence[tuple[str, str]]) -> list[Json]:
+    """Labels and message paths as panels hold them."""
+    return [
+        {"value": path, "label": label, "enabled": True, "timestampMethod": "receiveTime"}
+        for label, path in series[:_MOST_SERIES]
+    ]
+
+
+def _elements(source: str, object_ids: Sequence[str]) -> list[tuple[str, str]]:
+    """Title and message path of each object; of whichever comes first when none can be named.
+
+    A message path quotes text one way or the other and escapes nothing.
+    """
+    quotes = [
+        (name, next((quote for quote in "\"'" if quote not in name), ""))
+        for name in object_ids
+        if name.isprintable()
+    ]
+    named = [
+        (name, f"{source}.objects[:]{{id=={quote}{name}{quote}}}")
+        for name, quote in quotes
+        if quote
+    ]
+    return named or [("", f"{source}.objects[0]")]
+
+
+def _topic_path(topic: str) -> str:
+    """A topic as message paths begin with it: quoted if its name is not a plain one."""
+    if _PLAIN_TOPIC.fullmatch(topic):
+        return topic
+    escaped = topic.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

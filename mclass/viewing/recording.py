@@ -286,7 +286,7 @@ def _object(
         f"{path}/name",
         indexes=index,
         columns=rr.Points3D.columns(
-            positions=_lifted(places + [0.0, 0.7 * size], side + 5.0 * _LIFT * size),
+            positions=_lifted(places + np.array([0.0, 0.7 * size]), side + 5.0 * _LIFT * size),
             labels=[scene.text for scene in scenes],
         ),
     )
