@@ -4,26 +4,40 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.completion import FileType, figures
 from mclass.commands.console import console
-from mclass.commands.options import LOG, PlaceType, echo_json, format_option, time_options
+from mclass.commands.options import FILE, LOG, PlaceType, echo_json, format_option, time_options
 
 if TYPE_CHECKING:
     from mclass.batch.record import LogResult
     from mclass.places import Place
 
 
+def _figures() -> Iterable[str]:
+    from mclass.batch.judgement import METRICS
+
+    return METRICS
+
+
 @click.command(short_help="Estimate many logs at once, for CI and fleets.")
-@click.argument("sources", nargs=-1, required=True, metavar="LOG_OR_FOLDER_OR_GLOB...")
+@click.argument(
+    "sources",
+    nargs=-1,
+    required=True,
+    shell_complete=LOG.shell_complete,
+    metavar="LOG_OR_FOLDER_OR_GLOB...",
+)
 @click.option(
     "-c",
     "--model",
     "model_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="MODEL.yaml",
     help="Model file for all logs. Without it each log's own is found, as `estimate` does.",
 )
@@ -31,7 +45,7 @@ if TYPE_CHECKING:
     "-o",
     "--output",
     "folder",
-    type=PlaceType(path_type=Path, file_okay=False),
+    type=PlaceType(file_okay=False),
     metavar="DIR",
     required=True,
     help="Folder or URL for the outputs and results.json.",
@@ -59,12 +73,13 @@ if TYPE_CHECKING:
     "rule_texts",
     multiple=True,
     metavar="RULE",
+    shell_complete=figures(_figures),
     help="Exit 4 if a log's figures fulfil RULE, such as 'skipped > 5 %'. Can be given often.",
 )
 @click.option(
     "--baseline",
     "baseline_path",
-    type=LOG,
+    type=PlaceType(".json"),
     metavar="RESULTS.json",
     help="results.json of another batch: say what changed, exit 4 if it is for the worse.",
 )
@@ -89,7 +104,7 @@ if TYPE_CHECKING:
 @click.option(
     "--junit",
     "junit_path",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FileType(".xml", dir_okay=False),
     metavar="FILE.xml",
     help="Also write the outcome of each log as a JUnit test.",
 )

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.completion import FileType, figures
+from mclass.commands.console import console
 from mclass.commands.options import LOG, echo_json, format_option
 
 if TYPE_CHECKING:
@@ -16,12 +19,18 @@ if TYPE_CHECKING:
     from mclass.places import Place
 
 
+def _figures() -> Iterable[str]:
+    from mclass.evaluation.summary import METRICS
+
+    return METRICS
+
+
 @click.command(short_help="Compare results with the truth.")
 @click.argument("outs", nargs=-1, required=True, type=LOG, metavar="OUT...")
 @click.option(
     "--truth",
     "truth_path",
-    type=click.Path(path_type=Path),
+    type=FileType(".json", ".yaml", ".yml"),
     metavar="TRUTH.json|.yaml",
     help="What really stood where, in all of OUT. Without it the truth that each carries, if "
     "its log was simulated.",
@@ -46,12 +55,13 @@ if TYPE_CHECKING:
     "rule_texts",
     multiple=True,
     metavar="RULE",
+    shell_complete=figures(_figures),
     help="Exit 4 if a figure fulfils RULE, such as 'class_accuracy < 90 %'. Can be given often.",
 )
 @click.option(
     "--junit",
     "junit_path",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FileType(".xml", dir_okay=False),
     metavar="FILE.xml",
     help="Also write each RULE's outcome as a JUnit test.",
 )
@@ -99,7 +109,10 @@ def evaluate(
     from mclass.text.terminal import Terminal
 
     rules = [parse_rule(text, METRICS) for text in rule_texts]
-    evaluation = evaluate_outputs(outs, truth_path, match=match, gate=gate)
+    with console() as tell:
+        evaluation = evaluate_outputs(
+            outs, truth_path, match=match, gate=gate, progress=tell.progress
+        )
     values = quantities(evaluation)
     outcomes = [(str(rule), rule.miss(values[rule.metric])) for rule in rules]
     failures = [miss for _, miss in outcomes if miss is not None]
@@ -111,7 +124,7 @@ def evaluate(
     else:
         click.echo(evaluation_text(evaluation, failures, Terminal.of(sys.stdout)))
     for sentence in evaluation.damage:
-        click.echo(f"Warning: {sentence}", err=True)
+        tell.warn(sentence)
     if failures:
         ctx.exit(4)
     if evaluation.damage:

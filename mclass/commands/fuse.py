@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.completion import world_frames
 from mclass.commands.console import console
-from mclass.commands.options import LOG, echo_json, format_option, overwrite_option
+from mclass.commands.options import FILE, LOG, echo_json, format_option, overwrite_option
 
 if TYPE_CHECKING:
     from mclass.places import Place
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--frames",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="FRAMES.yaml",
     help="Where each output's world lies in the common one: lines such as "
     "'hall: {x: 12.5, y: -3, heading_deg: 90}', by path, file name or stem. "
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     "-c",
     "--model",
     "model_path",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="MODEL.yaml",
     help="Model to use instead of the outputs' own, which must otherwise be the same.",
 )
@@ -46,7 +47,12 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Equal ids in different outputs are different objects: call them NAME/ID.",
 )
-@click.option("--frame", metavar="NAME", help="Name of the common world.")
+@click.option(
+    "--frame",
+    metavar="NAME",
+    shell_complete=world_frames("outputs"),
+    help="Name of the common world.  [default: the outputs' own; map with --frames]",
+)
 @click.option("--prefix", default="/mclass", show_default=True, help="Prefix of the topics.")
 @overwrite_option
 @format_option

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mclass.commands.console import console
-from mclass.commands.options import LOG, overwrite_option
+from mclass.commands.options import FILE, LOG, overwrite_option
 
 if TYPE_CHECKING:
     from mclass.places import Place
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="MODEL.yaml",
     help="Where to write; - for stdout.  [default: mclass.yaml beside the log]",
 )

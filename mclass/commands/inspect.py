@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.completion import object_ids
 from mclass.commands.console import console
 from mclass.commands.options import (
     FILE,
@@ -121,7 +122,13 @@ def inspect_objects(out: Place, history: bool, output_format: str, plot_path: Pa
 @click.argument("out", type=LOG)
 @click.argument("x", type=float)
 @click.argument("y", type=float)
-@click.option("--object", "object_id", metavar="ID", help="That object's own belief.")
+@click.option(
+    "--object",
+    "object_id",
+    metavar="ID",
+    shell_complete=object_ids("out"),
+    help="That object's own belief.",
+)
 @history_option
 @format_option
 @plot_option

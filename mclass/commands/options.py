@@ -8,13 +8,13 @@ from typing import Any, TypeVar
 
 import click
 
+from mclass.commands.completion import FileType
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-class PlaceType(click.Path):
+class PlaceType(FileType):
     """A path, or a URL that is left as it is."""
-
-    name = "path"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """See `click.Path.convert`."""
@@ -24,11 +24,11 @@ class PlaceType(click.Path):
         return place if isinstance(place, Url) else super().convert(value, param, ctx)
 
 
-LOG = PlaceType(path_type=Path)
-"""A log's path or URL; whether it can be read is said by the reader, with what to do."""
+LOG = PlaceType(".mcap")
+"""A log's path or URL."""
 
-FILE = click.Path(path_type=Path)
-"""A model or a truth; the same goes for it."""
+FILE = FileType(".yaml", ".yml")
+"""A model file, or another in YAML."""
 
 
 def format_option(command: Command) -> Command:
@@ -57,7 +57,7 @@ def plot_option(command: Command) -> Command:
     return click.option(
         "--plot",
         "plot_path",
-        type=click.Path(path_type=Path),
+        type=FileType(".png", ".svg", ".pdf"),
         callback=_drawable,
         metavar="FILE",
         help="Also draw to FILE (.png, .svg or .pdf); needs the extra mclass[plot].",
@@ -70,7 +70,7 @@ def model_option(command: Command) -> Command:
         "-c",
         "--model",
         "model_path",
-        type=click.Path(path_type=Path),
+        type=FILE,
         metavar="MODEL.yaml",
         help="Model file. Without it: mclass.yaml beside the log, in the working directory, "
         "or attached to the log.",

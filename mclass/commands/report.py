@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from mclass.commands.completion import FileType
 from mclass.commands.options import LOG, overwrite_option
 
 
@@ -15,7 +16,7 @@ from mclass.commands.options import LOG, overwrite_option
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=FileType(".html"),
     metavar="PAGE.html",
     help="Where to write.  [default: OUT-stem.html beside OUT]",
 )

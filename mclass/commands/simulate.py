@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.completion import FileType
 from mclass.commands.console import console
 from mclass.commands.options import overwrite_option
 
@@ -16,11 +17,11 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Make a log from a scenario, with the truth attached.")
-@click.argument("scenario", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("scenario", type=FileType(".yaml", ".yml", exists=True, dir_okay=False))
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=FileType(".mcap"),
     metavar="LOG.mcap",
     help="Log to write; without it SCENARIO.mcap in the working directory.",
 )
@@ -35,12 +36,13 @@ if TYPE_CHECKING:
 @click.option(
     "--seed",
     type=click.IntRange(0, 2**31),
+    metavar="N",
     help="For all that is drawn, instead of the scenario's own seed.",
 )
 @click.option(
     "--truth",
     "truth_path",
-    type=click.Path(path_type=Path),
+    type=FileType(".json"),
     metavar="FILE.json",
     help="Also write the truth (class, position and orientation of every object) to FILE.json; "
     "the log has it as the attachment truth.json.",

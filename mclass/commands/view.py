@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mclass.commands.completion import FileType
 from mclass.commands.options import LOG, overwrite_option
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 @click.option(
     "--save",
     "save_path",
-    type=click.Path(path_type=Path),
+    type=FileType(".rrd"),
     metavar="FILE.rrd",
     help="Write a file that `rerun FILE.rrd` opens, instead of opening the viewer.",
 )

@@ -16,6 +16,7 @@ from mclass.evaluation.summary import evaluate as evaluate_scores
 from mclass.evaluation.truth import Truth, load_truth, parse_truth
 from mclass.outputs.readback import OutputLog
 from mclass.places import Place, PlaceLike, place_of
+from mclass.progress import Progress, unheard
 from mclass.simulation.write import TRUTH_NAME
 
 
@@ -33,6 +34,7 @@ def evaluate(
     *,
     match: Literal["position", "id"] = "position",
     gate: float = 1.0,
+    progress: Progress = unheard,
 ) -> Evaluation:
     """Score the objects in outputs against what really stood there.
 
@@ -42,6 +44,7 @@ def evaluate(
             carries, if its log was simulated.
         match: Which estimate is of which object: the nearest, or the one of the same id.
         gate: Farthest that a match by position may be off [m].
+        progress: Told how far the work is.
 
     Raises:
         UsageError: If there are no outputs.
@@ -53,7 +56,11 @@ def evaluate(
     if truth is not None and not isinstance(truth, Truth):
         truth = load_truth(Path(truth))
     places = [place_of(output) for output in outputs]
-    scored = [score_output(place, truth, match=match, gate=gate) for place in places]
+    scored = []
+    for count, place in enumerate(places):
+        progress("scoring", count, len(places), "outputs")
+        scored.append(score_output(place, truth, match=match, gate=gate))
+    progress("scoring", len(places), len(places), "outputs")
     damage = [
         f"{place}: {sentence}"
         for place, one in zip(places, scored, strict=True)
