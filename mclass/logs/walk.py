@@ -72,6 +72,7 @@ class LogIndex:
         data_crc: Checksum of the data section as the file says; 0 if it says none.
         data_end: Where the data section ends.
         marks: Of the schemas and channels outside of chunks, in file order.
+        disputed: Opcodes and ids of which definitions that contradict each other were met.
         statistics: As the file says; None if it says none.
         summarised: Whether the summary was used.
     """
@@ -88,6 +89,7 @@ class LogIndex:
     data_crc: int = 0
     data_end: int = len(MAGIC)
     marks: list[Mark] = field(default_factory=list)
+    disputed: set[tuple[Opcode, int]] = field(default_factory=set)
     statistics: Statistics | None = None
     summarised: bool = False
 
@@ -122,7 +124,7 @@ class LogIndex:
             self.channels.setdefault(channel.id, channel)
 
     def mark(self, place: int, record: bytes) -> Mark:
-        """Compare a whole schema or channel record with the known one of its id.
+        """Compare a whole schema or channel record with the known one of its id; note a dispute.
 
         Args:
             place: Of the record, for the answer.
@@ -139,8 +141,15 @@ class LogIndex:
         else:
             found = parse_channel(record)
             known = self.channels.get(found.id)
-        in_use = known is None or known.raw == record or _content(known) == _content(found)
-        return Mark(place, Opcode(record[0]), found.id, in_use)
+        mark = Mark(
+            place,
+            Opcode(record[0]),
+            found.id,
+            known is None or known.raw == record or _content(known) == _content(found),
+        )
+        if not mark.in_use:
+            self.disputed.add((mark.opcode, mark.id))
+        return mark
 
     def add_definitions(self, summary: Summary) -> None:
         """Take over the schemas and channels of a summary where there are none yet."""

@@ -361,10 +361,16 @@ class LogWriter:
         try:
             content = read_chunk(reader.source, entry)
         except ChunkLostError:
-            # It may have defined what follows.
-            self._emit(
-                b"".join((*self._contents.schemas.values(), *self._contents.channels.values()))
-            )
+            # It may have defined what follows. Where definitions contradict each other, one more
+            # would give messages behind it to another channel.
+            disputed = reader.index.disputed
+            for opcode, records in (
+                (Opcode.SCHEMA, self._contents.schemas),
+                (Opcode.CHANNEL, self._contents.channels),
+            ):
+                self._emit(
+                    b"".join(raw for key, raw in records.items() if (opcode, key) not in disputed)
+                )
             return
         known = np.isin(content.heads["channel"], list(self._contents.channels))
         if known.all() and not content.unusable:
