@@ -298,6 +298,23 @@ def _without_effect(problem: Problem, estimated: Collection[str]) -> dict[str, i
     return tally.counts
 
 
+def _moments(updates: Iterable[ObjectEstimate]) -> Iterator[dict[str, ObjectEstimate]]:
+    """Updates that one frame caused, by object; none twice.
+
+    A frame of a thousand objects would otherwise be written a thousand times, with all of them.
+    """
+    together: dict[str, ObjectEstimate] = {}
+    moment = None
+    for update in updates:
+        times = update.stamp_ns, update.log_time_ns
+        if together and (times != moment or update.object_id in together):
+            yield together
+            together = {}
+        together[update.object_id], moment = update, times
+    if together:
+        yield together
+
+
 def _solve(
     problem: Problem,
     frame: str,
@@ -318,9 +335,12 @@ def _solve(
     else:
         channels.write_measurements(measurements)
         latest: dict[str, ObjectEstimate] = {}
-        for update in updates:
-            latest[update.object_id] = update
-            channels.write_objects(list(latest.values()), update.log_time_ns, update.stamp_ns)
+        for together in _moments(updates):
+            latest.update(together)
+            any_of_them = next(iter(together.values()))
+            channels.write_objects(
+                list(latest.values()), any_of_them.log_time_ns, any_of_them.stamp_ns
+            )
         for block in blocks:
             channels.write_belief(block)
         maps = grid.maps()

@@ -29,6 +29,8 @@ from mcap.records import Channel, Message, Schema
 from mcap.summary import Summary
 from scene_logs import OPTICAL, SceneLog, at, box, detection, header, standing_robot
 
+from mclass.outputs.readback import OutputLog
+
 NAN, INF = float("nan"), float("inf")
 
 
@@ -539,6 +541,24 @@ class TestValues:
         run = place.estimate(scene(tmp_path / "scene.mcap", fill))
         assert run.code == 0
         assert {entry["id"] for entry in run.document["objects"]} == set(HOSTILE_IDS)
+
+    def test_a_frame_of_many_objects_is_written_once(
+        self, place: Workplace, tmp_path: Path
+    ) -> None:
+        """Not all of them once for each: that would take a gigabyte for a few thousand."""
+
+        def fill(log: SceneLog) -> None:
+            for number in range(3):
+                found = [detection({"cup": 0.9}, WIDE, f"o{i}") for i in range(12 - number)]
+                log.detections(0.5 + number / 10, found)
+
+        run = place.estimate(scene(tmp_path / "scene.mcap", fill))
+        assert run.used == 33
+        with OutputLog.open(run.output) as output:
+            (channel,) = [c for c in output.reader.channels if c.topic == "/mclass/objects"]
+            assert channel.message_count == 3
+            history = output.history()
+        assert [len(history[f"o{i}"]) for i in (0, 9, 10, 11)] == [3, 3, 2, 1]
 
     @pytest.mark.slow
     def test_a_hundred_thousand_detections_in_a_message(
