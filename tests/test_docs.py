@@ -63,6 +63,29 @@ class TestHelp:
                 assert all(form in text for form in parameter.opts)
 
     @pytest.mark.parametrize("name", COMMANDS)
+    def test_ends_with_exit_codes_and_related_commands(self, name: str) -> None:
+        if isinstance(COMMANDS[name], click.Group):
+            return
+        _, _, text = mclass(*name.split()[1:], "--help").stdout.partition("Exit codes:\n")
+        codes, _, related = text.partition("See also: ")
+        told = [int(line.split()[0]) for line in codes.strip().splitlines()]
+        assert {0, 1, 2, 130} <= set(told) <= {0, 1, 2, 3, 4, 130}
+        forms = [form for parameter in COMMANDS[name].params for form in parameter.opts]
+        assert (4 in told) == ("--fail-on" in forms)
+        others = [other.strip() for other in " ".join(related.split()).split(",")]
+        assert others
+        assert name not in others
+        assert set(others) <= set(COMMANDS)
+
+    @pytest.mark.parametrize("columns", ["40", "60", "200"])
+    def test_fits_any_terminal(self, columns: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("COLUMNS", columns)
+        text = mclass("--help").stdout
+        assert "..." not in text.replace("[ARGS]...", "")
+        for name in COMMANDS:
+            assert name.split()[-1] in text or " " in name.partition(" ")[2]
+
+    @pytest.mark.parametrize("name", COMMANDS)
     def test_short_help_is_a_sentence(self, name: str) -> None:
         short = COMMANDS[name].get_short_help_str(limit=200)
         assert short.endswith(".")

@@ -67,7 +67,13 @@ def _figures() -> Iterable[str]:
     metavar="SECONDS",
     help="Write maps and the full belief every SECONDS too, not only at the end.",
 )
-@click.option("--prefix", default="/mclass", show_default=True, help="Prefix of the new topics.")
+@click.option(
+    "--prefix",
+    default="/mclass",
+    show_default=True,
+    metavar="TOPIC",
+    help="Prefix of the new topics.",
+)
 @click.option(
     "--fail-on",
     "rule_texts",

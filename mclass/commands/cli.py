@@ -16,6 +16,7 @@ import click
 
 from mclass import __version__
 from mclass.commands.console import add_verbosity
+from mclass.commands.manual import GROUPS, add_manual, write_commands
 from mclass.errors import MclassError
 
 _COMMANDS: Mapping[str, str] = {
@@ -37,8 +38,8 @@ class MclassGroup(click.Group):
     """Loads a command's module when it is named, and turns errors into sentences."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order of a first session."""
-        return list(_COMMANDS)
+        """Names in the order of their use."""
+        return [name for members in GROUPS.values() for name in members]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import one command."""
@@ -46,7 +47,11 @@ class MclassGroup(click.Group):
             return None
         module, name = _COMMANDS[cmd_name].split(":")
         command: click.Command = getattr(import_module(module), name)
-        return add_verbosity(command)
+        return add_manual(add_verbosity(command), cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands under what they are for."""
+        write_commands(self, ctx, formatter)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; every error ends as one message and its exit code."""
@@ -122,6 +127,8 @@ def _fail(message: str, code: int) -> None:
 @click.version_option(__version__, prog_name="mclass")
 def main() -> None:
     """Object class, orientation and position from class labels in MCAP logs.
+
+    `mclass COMMAND --help` explains each command, with examples and exit codes.
 
     \b
     Examples:

@@ -41,7 +41,13 @@ if TYPE_CHECKING:
     metavar="SECONDS",
     help="Write maps and the full belief every SECONDS too, not only at the end.",
 )
-@click.option("--prefix", default="/mclass", show_default=True, help="Prefix of the new topics.")
+@click.option(
+    "--prefix",
+    default="/mclass",
+    show_default=True,
+    metavar="TOPIC",
+    help="Prefix of the new topics.",
+)
 @overwrite_option
 @click.option(
     "--only-new", is_flag=True, help="Write the new channels alone, without the log's own."

@@ -53,7 +53,9 @@ if TYPE_CHECKING:
     shell_complete=world_frames("outputs"),
     help="Name of the common world.  [default: the outputs' own; map with --frames]",
 )
-@click.option("--prefix", default="/mclass", show_default=True, help="Prefix of the topics.")
+@click.option(
+    "--prefix", default="/mclass", show_default=True, metavar="TOPIC", help="Prefix of the topics."
+)
 @overwrite_option
 @format_option
 def fuse(

@@ -11,6 +11,7 @@ import click
 
 from mclass.commands.completion import object_ids
 from mclass.commands.console import console
+from mclass.commands.manual import OrderedGroup
 from mclass.commands.options import (
     FILE,
     LOG,
@@ -28,7 +29,7 @@ history_option = click.option(
 )
 
 
-@click.group(short_help="Look into a log, a result, a cell or a model.")
+@click.group(cls=OrderedGroup, short_help="Look into a log, a result, a cell or a model.")
 def inspect() -> None:
     """Look into a log, into the results in an output, or into a model file.
 
