@@ -43,8 +43,8 @@ class LookLattice:
     reach: float
     range_width: float
     direction_width: float
-    _smooth: FloatArray | None = None
     _counts: FloatArray = field(init=False)
+    _smooth: bool = False
 
     def __post_init__(self) -> None:
         self._range_step = self.range_width / _NODES_PER_WIDTH
@@ -57,19 +57,19 @@ class LookLattice:
 
     def deposit(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> None:
         """Add looks: number of the cell, range [m] and direction [rad] of each, (p,)."""
+        assert not self._smooth, "all are deposited before any is read"
         counts = self._counts.ravel()
         for part in _parts(len(cells)):
             spread = self._spread(cells[part], ranges[part], directions[part])
             np.add.at(counts, spread.indices, spread.data)
-        self._smooth = None
 
     def weights(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> FloatArray:
         """Weight of looks that were deposited, at most 1, (p,)."""
-        if self._smooth is None:
-            self._smooth = self._smoothed().ravel()
-        weights = np.empty(len(cells))
+        if not self._smooth:
+            self._smoothen()
+        smooth, weights = self._counts.ravel(), np.empty(len(cells))
         for part in _parts(len(cells)):
-            counts = self._spread(cells[part], ranges[part], directions[part]) @ self._smooth
+            counts = self._spread(cells[part], ranges[part], directions[part]) @ smooth
             # Each counts itself, rounding apart.
             weights[part] = 1.0 / np.maximum(counts, 1.0)
         return weights
@@ -89,15 +89,17 @@ class LookLattice:
         shape = (len(cells), self._counts.size)
         return csr_array((shares.ravel(), nodes.ravel(), starts), shape=shape)
 
-    def _smoothed(self) -> FloatArray:
-        """The counts convolved with the kernel."""
+    def _smoothen(self) -> None:
+        """Convolve the counts with the kernel, in place: they are most of the memory in use."""
         _, n_ranges, n_directions = self._counts.shape
         row = np.abs(np.subtract.outer(np.arange(n_ranges), np.arange(n_ranges)))
         around = np.abs(np.subtract.outer(np.arange(n_directions), np.arange(n_directions)))
         around = np.minimum(around, n_directions - around)
         rows = _kernel(n_ranges, self.range_width / self._range_step)[row]
         columns = _kernel(n_directions, self.direction_width / self._direction_step)[around]
-        return np.asarray((rows @ self._counts) @ columns)
+        for counts in self._counts:
+            counts[:] = (rows @ counts) @ columns
+        self._smooth = True
 
 
 def _parts(count: int) -> Iterator[slice]:

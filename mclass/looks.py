@@ -8,7 +8,7 @@ from one place share one vote.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -167,6 +167,25 @@ class ObjectLooks:
         """Positions in ``rows`` of steps ``first`` to ``last - 1``."""
         start, stop = np.searchsorted(self.steps, [first, last])
         return slice(int(start), int(stop))
+
+    def near(self, centers: FloatArray) -> ObjectLooks:
+        """Without frames from which none of the cells could be seen; (m, 2) centres [m]."""
+        pointing = self.looks.pointing.select(self.rows)
+        low, high = centers.min(axis=0), centers.max(axis=0)
+        beside = np.maximum(np.maximum(low - pointing.positions, pointing.positions - high), 0.0)
+        kept = ~self.silent | (np.hypot(*beside.T) <= pointing.max_range)
+        return replace(
+            self,
+            rows=self.rows[kept],
+            steps=self.steps[kept],
+            silent=self.silent[kept],
+            shares=self.shares[kept],
+        )
+
+    def stop_after(self, start: int, most_rows: int) -> int:
+        """The step before which, from another on, there are so many rows; at least one step."""
+        last = int(np.searchsorted(self.steps, start)) + most_rows
+        return max(start + 1, int(self.steps[last]) if last < len(self.steps) else self.n_steps)
 
     def concern(self, centers: FloatArray, cell_size: float, part: slice) -> Concern:
         """How some of the looks concern some cells.

@@ -27,6 +27,11 @@ from mclass.summary import NEGLIGIBLE, Readout
 _SHORTEST_BLOCK = 4
 _LONGEST_BLOCK = 64
 _STEPS_AT_ONCE = 64
+_SIGHTS_AT_ONCE = 2**19
+"""Cells times looks; a dozen numbers are known of each."""
+
+_NUMBERS_AT_ONCE = 2**21
+"""Of the beliefs after each step of a block, unless it would be too short to be fast."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,7 @@ class ObjectFilter:
         self, engine: Engine, looks: ObjectLooks, candidates: Candidates, log_priors: FloatArray
     ) -> None:
         self.engine = engine
-        self.looks = looks
+        self.looks = looks.near(candidates.centers)
         self.candidates = candidates
         self.log_priors = log_priors
         count = len(candidates.cells)
@@ -97,6 +102,7 @@ class ObjectFilter:
         Cells are let go after the last detection at which they are candidates.
         """
         last_candidate = self._survey()
+        width = self.engine.n_classes * self.engine.bins
         start = 0
         while start < self.looks.n_steps:
             kept = last_candidate >= start
@@ -104,9 +110,17 @@ class ObjectFilter:
                 self._keep(np.flatnonzero(kept))
                 last_candidate = last_candidate[kept]
             # The belief narrows fast at first: short blocks let cells go early.
-            stop = start + int(np.clip(start, _SHORTEST_BLOCK, _LONGEST_BLOCK))
-            yield from self._block(start, min(stop, self.looks.n_steps))
+            longest = np.clip(
+                _NUMBERS_AT_ONCE // kept.sum() // width, _SHORTEST_BLOCK, _LONGEST_BLOCK
+            )
+            stop = self._stop(start, int(np.clip(start, _SHORTEST_BLOCK, longest)))
+            yield from self._block(start, stop)
             start = stop
+
+    def _stop(self, start: int, most: int) -> int:
+        """The step before which a block ends that begins with a step, of so many steps at most."""
+        most_rows = _SIGHTS_AT_ONCE // len(self.candidates.cells)
+        return min(start + most, self.looks.n_steps, self.looks.stop_after(start, most_rows))
 
     def finish(self) -> Readout:
         """The belief after the last detection: what `steps` ends with, in a fraction of the time.
@@ -143,19 +157,23 @@ class ObjectFilter:
         settings = self.looks.looks.settings
         if settings.correlation is not None:
             centers = self.candidates.centers
-            positions = self.looks.looks.pointing.positions[self.looks.rows]
-            reach = np.hypot(
+            pointing = self.looks.looks.pointing
+            # A frame without a detection speaks of what is in view alone.
+            positions = pointing.positions[self.looks.rows[~self.looks.silent]]
+            farthest = np.hypot(
                 *np.maximum(
                     np.abs(positions.max(axis=0) - centers.min(axis=0)),
                     np.abs(centers.max(axis=0) - positions.min(axis=0)),
                 )
             )
-            self._lattice = LookLattice(len(centers), float(reach), *settings.correlation)
+            reach = max(float(farthest), pointing.max_range)
+            self._lattice = LookLattice(len(centers), reach, *settings.correlation)
             self._lattice_cells = np.arange(len(centers))
         last = np.full(len(self.candidates.cells), -1, dtype=np.int64)
         hits = self._hits
-        for start in range(0, self.looks.n_steps, _STEPS_AT_ONCE):
-            stop = min(start + _STEPS_AT_ONCE, self.looks.n_steps)
+        start = 0
+        while start < self.looks.n_steps:
+            stop = self._stop(start, _STEPS_AT_ONCE)
             part = self.looks.within(start, stop)
             concern = self._concern(part)
             totals = hits[:, None] + np.cumsum(self._new_hits(concern), axis=1)
@@ -168,6 +186,7 @@ class ObjectFilter:
                 self._lattice.deposit(
                     cell, concern.seen.ranges[cell, column], concern.seen.directions[cell, column]
                 )
+            start = stop
         return last
 
     def _keep(self, cells: IntArray) -> None:

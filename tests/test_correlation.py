@@ -65,5 +65,7 @@ def test_ten_looks_from_one_place_share_one_vote() -> None:
     assert lattice.weights(*ten) == pytest.approx(np.full(10, 0.1), rel=1e-3)
     # One more, a width farther away: the ten count exp(-1/2) each.
     one = np.array([0]), np.array([1.534]), np.array([0.77])
+    lattice = LookLattice(1, 2.0, *WIDTHS)
+    lattice.deposit(*ten)
     lattice.deposit(*one)
     assert lattice.weights(*one) == pytest.approx([1.0 / (1.0 + 10.0 * math.exp(-0.5))], rel=1e-3)
