@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -472,6 +473,17 @@ def test_secrets_are_never_shown(web: Web, s3: S3, tmp_path: Path) -> None:
         assert path.is_dir() or SECRET.encode() not in path.read_bytes(), path
     url = Url(signed)
     assert SECRET not in f"{url} {url!r} {Store(url)!r} {url.name}"
+
+
+def test_what_libraries_log_is_not_printed(
+    s3: S3, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    Store(Url("s3://fleet/log.mcap"))
+    for name in ("s3fs", "gcsfs.core", "botocore.credentials"):
+        logging.getLogger(name).warning("no key %s", SECRET)
+    logging.getLogger("another").warning("said")
+    assert capsys.readouterr().err == "said\n"
 
 
 def test_places() -> None:

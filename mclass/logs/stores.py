@@ -9,6 +9,7 @@ passed on.
 from __future__ import annotations
 
 import contextlib
+import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ _CREDENTIALS = {
 _NO_CREDENTIALS = frozenset(
     {"NoCredentialsError", "PartialCredentialsError", "DefaultCredentialsError", "RefreshError"}
 )
+_CHATTERERS = ("aiobotocore", "botocore", "fsspec", "gcsfs", "google", "s3fs")
 
 Answer = TypeVar("Answer")
 
@@ -76,6 +78,10 @@ class Store:
                 f"{url.scheme}:// is no known kind of URL; known: s3://, gs://, https://, http://.",
                 path=self._name,
             )
+        for name in _CHATTERERS:
+            # Python prints warnings that nobody handles; errors are told in our own words.
+            if not (logger := logging.getLogger(name)).handlers:
+                logger.addHandler(logging.NullHandler())
         options: dict[str, Any] = {"use_listings_cache": False}
         if url.scheme in _WEB:
             # Of what is compressed on the way, ranges would be those of the compressed bytes.

@@ -1,6 +1,6 @@
 """How fast, and how much memory: the tables of the README, measured in one run.
 
-    python -m tests.benchmarks [filter] [read] [write] [start] [growth] [memory] [threads]
+    python -m tests.benchmarks [filter] [read] [write] [start] [growth] [memory] [threads] [batch]
 
 Each table compares times taken in turn on this machine; of several runs the fastest counts. Logs
 are generated in a temporary folder (those for ``write`` take 7 GB there) and deleted.
@@ -19,7 +19,7 @@ from pathlib import Path
 
 from . import tables
 
-SECTIONS = ("filter", "read", "write", "start", "growth", "memory", "threads")
+SECTIONS = ("filter", "read", "write", "start", "growth", "memory", "threads", "batch")
 
 
 def main() -> None:
