@@ -48,12 +48,9 @@ class LookLattice:
 
     def __post_init__(self) -> None:
         self._range_step = self.range_width / _NODES_PER_WIDTH
-        n_ranges = int(np.ceil(self.reach / self._range_step)) + _TAPS
-        # Whole nodes to a quarter turn: worlds are often turned by that.
-        quarter = int(np.ceil(np.pi / 2.0 * _NODES_PER_WIDTH / self.direction_width))
-        n_directions = 4 * max(_TAPS, quarter)
-        self._direction_step = 2.0 * np.pi / n_directions
-        self._counts = np.zeros((self.cells, n_ranges, n_directions))
+        shape = lattice_shape(self.reach, self.range_width, self.direction_width)
+        self._direction_step = 2.0 * np.pi / shape[1]
+        self._counts = np.zeros((self.cells, *shape))
 
     def deposit(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> None:
         """Add looks: number of the cell, range [m] and direction [rad] of each, (p,)."""
@@ -100,6 +97,14 @@ class LookLattice:
         for counts in self._counts:
             counts[:] = (rows @ counts) @ columns
         self._smooth = True
+
+
+def lattice_shape(reach: float, range_width: float, direction_width: float) -> tuple[int, int]:
+    """Nodes over range and direction of each cell's lattice; arguments as of `LookLattice`."""
+    n_ranges = int(np.ceil(reach * _NODES_PER_WIDTH / range_width)) + _TAPS
+    # Whole nodes to a quarter turn: worlds are often turned by that.
+    quarter = int(np.ceil(np.pi / 2.0 * _NODES_PER_WIDTH / direction_width))
+    return n_ranges, 4 * max(_TAPS, quarter)
 
 
 def _parts(count: int) -> Iterator[slice]:

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from mclass.correlation import lattice_shape
 from mclass.errors import ModelError
 from mclass.footprint import TILE_CELLS, tiles
 from mclass.inference import Problem
+from mclass.objects import pointed_cells
 from mclass.records import FloatArray, IntArray
 
 _BASE = 200 * 2**20
 """Programs, tables and what is worked on at the moment."""
 
 _COPIES = 3
-"""Of a map while it is packed, and of an object's belief while it is updated."""
+"""Of a map while it is packed."""
+
+_OBJECT_COPIES = 8
+"""Of an object's belief: before and after some steps, and after each of them."""
 
 _GROUPS = (Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/memory"))
 _LIMITS = (
@@ -61,7 +67,7 @@ def require_memory(problem: Problem, n_cuts: int, threads: int) -> None:
         return
     # Overlapping footprints were counted more than once: look closer.
     touched = sum(len(tile.cells) for tile in tiles(problem.grid, problem.looks.pointing))
-    need = memory_needed(problem, n_cuts, threads, touched)
+    need = memory_needed(problem, n_cuts, threads, touched, _most_candidates(problem))
     if need.n_bytes <= free:
         return
     grid, settings = problem.grid, problem.model.grid
@@ -77,7 +83,13 @@ def require_memory(problem: Problem, n_cuts: int, threads: int) -> None:
     )
 
 
-def memory_needed(problem: Problem, n_cuts: int, threads: int, touched: int | None = None) -> Need:
+def memory_needed(
+    problem: Problem,
+    n_cuts: int,
+    threads: int,
+    touched: int | None = None,
+    candidates: int | None = None,
+) -> Need:
     """What a problem with a grid needs, rather too much than too little.
 
     Args:
@@ -85,6 +97,7 @@ def memory_needed(problem: Problem, n_cuts: int, threads: int, touched: int | No
         n_cuts: How many times maps are written.
         threads: Of the grid.
         touched: Cells that footprints touch; bounded from above when None.
+        candidates: Of the object with most of them; bounded from above when None.
     """
     grid, engine = problem.grid, problem.engine
     assert grid is not None
@@ -96,8 +109,19 @@ def memory_needed(problem: Problem, n_cuts: int, threads: int, touched: int | No
     maps = cells * (5 * (1 + engine.n_classes) + 8) * _COPIES
     probabilities = touched * (1 + engine.n_classes) * 16 * n_cuts
     at_work = TILE_CELLS * belief * 2 * (n_cuts + 1) * 2 * threads
-    largest = int(min(touched, _by_object(problem, areas)))
-    return Need(cells, touched, _BASE + maps + probabilities + at_work + largest * belief * _COPIES)
+    if candidates is None:
+        candidates = int(min(touched, _by_object(problem, areas)))
+    followed = candidates * (belief * _OBJECT_COPIES + _lattice(problem))
+    return Need(cells, touched, _BASE + maps + probabilities + at_work + followed)
+
+
+def _lattice(problem: Problem) -> int:
+    """Bytes for each cell to count the looks at it."""
+    widths = problem.looks.settings.correlation
+    if widths is None:
+        return 0
+    # Cells that one of an object's detections points at may be as far again from another.
+    return 8 * math.prod(lattice_shape(2.0 * problem.looks.pointing.max_range, *widths))
 
 
 def _cells_pointed_at(problem: Problem) -> FloatArray:
@@ -119,6 +143,17 @@ def _by_object(problem: Problem, areas: FloatArray) -> float:
     if not owned.any():
         return 0.0
     return float(np.bincount(owners[owned], weights=areas[owned]).max())
+
+
+def _most_candidates(problem: Problem) -> int:
+    """Cells that detections of one object point at, of the object with most of them."""
+    assert problem.grid is not None
+    owners = problem.measurements.object_index
+    most = 0
+    for index in range(len(problem.measurements.object_ids)):
+        found = pointed_cells(problem.grid, problem.looks.pointing, np.flatnonzero(owners == index))
+        most = max(most, 0 if found is None else len(found.cells))
+    return most
 
 
 def available_bytes() -> int | None:
