@@ -22,6 +22,7 @@ from models import lopsided_model, measurements_of
 
 from mclass.classes import ClassModel
 from mclass.errors import MclassError, UsageError
+from mclass.outputs.colors import class_color
 from mclass.plot import (
     cell_figure,
     figure_format,
@@ -32,7 +33,8 @@ from mclass.plot import (
     ray_segments,
     save_figure,
 )
-from mclass.plot.style import drawable
+from mclass.plot.labels import place_texts, text_size
+from mclass.plot.style import CLASS_MARKERS, drawable
 from mclass.records import PoseTrack
 from mclass.results import ClassMaps
 
@@ -478,3 +480,52 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(builtins, "__import__", without_matplotlib)
     with pytest.raises(UsageError, match=r"pip install 'mclass\[plot\]'"):
         importlib.import_module("mclass.plot")
+
+
+class TestTextPlaces:
+    def test_each_goes_where_nothing_is(self) -> None:
+        # The arrow of the first lies to the upper right, the border to the left.
+        corners = place_texts(
+            np.array([[5.0, 50.0]]), [(30.0, 10.0)], np.array([[20.0, 60.0]]), (200.0, 100.0), 4.0
+        )
+        np.testing.assert_allclose(corners, [[4.0, -14.0]])
+
+    def test_texts_of_neighbours_do_not_overlap(self) -> None:
+        anchors = np.array([[100.0, 50.0], [104.0, 50.0], [100.0, 54.0], [104.0, 54.0]])
+        sizes = [(40.0, 10.0)] * 4
+        low = anchors + place_texts(anchors, sizes, np.empty((0, 2)), (200.0, 100.0), 4.0)
+        high = low + sizes
+        for i in range(4):
+            for j in range(i):
+                apart = (low[i] >= high[j]) | (low[j] >= high[i])
+                assert apart.any(), (i, j)
+            assert not ((anchors > low[i]) & (anchors < high[i])).all(axis=1).any()
+
+    def test_a_text_is_as_wide_as_its_longest_line(self) -> None:
+        assert text_size("ab\nabcd", 10.0) == pytest.approx((24.0, 25.0))
+
+
+class TestImprobableClasses:
+    def test_they_are_not_drawn(self) -> None:
+        report = cell(
+            density=np.full((3, 8), 0.5 / np.pi),
+            probabilities=(0.4, 0.6, 0.0, 0.0),
+            modes=((),) * 3,
+        )
+        axes = orientation_figure([report], ("a", "b", "c")).axes[0]
+        assert legend_names(axes) == ["0.4000  background", "0.6000  a", "2 more not drawn"]
+
+    def test_one_that_was_probable_is(self) -> None:
+        before = cell(measurements=1, probabilities=(0.2, 0.5, 0.3))
+        after = cell(measurements=2, probabilities=(0.2, 0.8, 0.0))
+        figure = orientation_figure([before, after], CLASS_NAMES)
+        assert legend_names(figure.axes[1])[2] == "0.0000  parts"
+
+    def test_without_any_probable_the_likeliest_is(self) -> None:
+        figure = orientation_figure([cell(probabilities=(1.0, 0.0, 0.0))], CLASS_NAMES)
+        assert legend_names(figure.axes[0])[1] == "0.0000  books"
+
+
+def test_markers_and_colours_tell_42_classes_apart() -> None:
+    pairs = {(class_color(index), CLASS_MARKERS[index % len(CLASS_MARKERS)]) for index in range(42)}
+    assert len(pairs) == 42

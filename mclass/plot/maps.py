@@ -20,6 +20,7 @@ from matplotlib.patches import Ellipse, Patch
 
 from mclass.classes import BACKGROUND
 from mclass.outputs.colors import class_color
+from mclass.plot.labels import place_texts, text_size
 from mclass.plot.style import (
     BACKGROUND_COLOR,
     CLASS_MARKERS,
@@ -121,16 +122,18 @@ def map_figure(
     letters = max(int(9.0 * panel) - len("P(), prior 0.0000"), 8)
     names = (BACKGROUND, *(drawable(name, letters) for name in class_names))
     size = _object_size(len(objects))
+    ids = [drawable(estimate.object_id) for estimate in objects]
+    places = _text_places(objects, ids, limits, size, panel)
     for axes, index in zip(grid.ravel(), shown, strict=False):
         image = _draw_map(axes, maps, index, colors)
         axes.set_facecolor(_UNTOUCHED_COLOR)
         prior = probability_text(maps.untouched[index])
         axes.set_title(f"P({names[index]}), prior {prior}", loc="left")
         handles = _draw_scene(axes, limits, track, rays, TRACK_COLOR)
-        for estimate in objects:
-            name = drawable(estimate.object_id)
+        for estimate, name, place in zip(objects, ids, places, strict=True):
             # Hollow and without ellipse: what the cells say there is the point of the map.
-            _draw_object(axes, estimate, limits, size, text=name, color=OBJECT_COLOR, marker="")
+            _draw_object(axes, estimate, limits, size, color=OBJECT_COLOR, marker="")
+            _write(axes, estimate, name, place, size)
             handles["objects, arrows where they face"] = Line2D([], [], color=OBJECT_COLOR)
         add_scale_bar(axes, "m", above=True)
     for axes in grid.ravel()[count:]:
@@ -168,17 +171,14 @@ def objects_figure(
         axes.text(0.5, 0.5, "no objects", ha="center", va="center", transform=axes.transAxes)
     handles = _draw_scene(axes, limits, track, None, BACKGROUND_COLOR)
     size = _object_size(len(objects))
-    for estimate in objects:
+    texts = [_object_text(one, class_names, short=len(objects) > _CROWD) for one in objects]
+    places = _text_places(objects, texts, limits, size, side)
+    for estimate, text, place in zip(objects, texts, places, strict=True):
         name = drawable(class_names[estimate.class_index])
         color = class_color(estimate.class_index)
         marker = CLASS_MARKERS[estimate.class_index % len(CLASS_MARKERS)]
-        probability = probability_text(estimate.class_probabilities[estimate.class_index + 1])
-        tie = "tie: " if estimate.tie else ""
-        text = drawable(estimate.object_id)
-        if len(objects) <= _CROWD:
-            outcome = f"{tie}{name} {probability}"
-            text += "\nunexplained" if estimate.unexplained else f"\n{outcome}"
-        _draw_object(axes, estimate, limits, size, text=text, color=color, marker=marker)
+        _draw_object(axes, estimate, limits, size, color=color, marker=marker)
+        _write(axes, estimate, text, place, size)
         handles[name] = Line2D([], [], color=color, marker=marker, linestyle="")
     add_scale_bar(axes, "m", above=True)
     _label_plane(np.array([[axes]]), 1)
@@ -261,16 +261,15 @@ def _draw_object(
     limits: Limits,
     size: float,
     *,
-    text: str,
     color: str | tuple[float, float, float],
     marker: str,
 ) -> None:
-    """An arrow a mode, as opaque as it is heavy, and a text; with a marker also its place.
+    """An arrow a mode, as opaque as it is heavy; with a marker also its place.
 
     The place is the marker and a two-sigma ellipse; without a marker it is a ring.
     """
     x, y = estimate.position
-    length = size * _ARROW * max(limits[1] - limits[0], limits[3] - limits[2])
+    length = _arrow_length(limits, size)
     spread_x, spread_y = 4.0 * estimate.position_std
     if marker and (spread_x > 0.0 or spread_y > 0.0):
         axes.add_patch(
@@ -295,15 +294,69 @@ def _draw_object(
         axes.plot(x, y, marker, color=color, markersize=6.0 * size, path_effects=halo())
     else:
         axes.plot(x, y, "o", color=color, markersize=7.0 * size, fillstyle="none")
-    away = _free_direction(estimate, limits)
+
+
+def _arrow_length(limits: Limits, size: float) -> float:
+    """Of a mode's arrow [m]."""
+    return size * _ARROW * max(limits[1] - limits[0], limits[3] - limits[2])
+
+
+def _font_size(size: float) -> float:
+    return max(8.0 * size, 5.0)
+
+
+def _object_text(estimate: ObjectEstimate, class_names: Sequence[str], *, short: bool) -> str:
+    """An object's id and, unless short, its class and how probable that is."""
+    text = drawable(estimate.object_id)
+    if short:
+        return text
+    if estimate.unexplained:
+        return f"{text}\nunexplained"
+    tie = "tie: " if estimate.tie else ""
+    probability = probability_text(estimate.class_probabilities[estimate.class_index + 1])
+    return f"{text}\n{tie}{drawable(class_names[estimate.class_index])} {probability}"
+
+
+def _text_places(
+    objects: Sequence[ObjectEstimate],
+    texts: Sequence[str],
+    limits: Limits,
+    size: float,
+    inches: float,
+) -> FloatArray:
+    """Where the objects' texts go, from their places [point], (n, 2); axes as wide as told."""
+    corner, extent = np.array(limits[::2]), np.array([limits[1] - limits[0], limits[3] - limits[2]])
+    scale = 72.0 * inches / extent[0]
+    anchors = np.array([estimate.position for estimate in objects]).reshape(-1, 2)
+    along = np.linspace(0.25, 1.0, 4)[:, None] * _arrow_length(limits, size)
+    arrows = [
+        estimate.position + along * (math.cos(mode.orientation), math.sin(mode.orientation))
+        for estimate in objects
+        for mode in estimate.modes
+        if mode.mass >= _LABELLED_MASS
+    ]
+    points = np.concatenate([anchors, *arrows])[len(anchors) :]
+    width, height = scale * extent
+    return place_texts(
+        scale * (anchors - corner),
+        [text_size(text, _font_size(size)) for text in texts],
+        scale * (points - corner),
+        (float(width), float(height)),
+        6.0 * size,
+    )
+
+
+def _write(axes: Axes, estimate: ObjectEstimate, text: str, place: FloatArray, size: float) -> None:
+    """An object's text, its lower left corner at a place from the object [point]."""
+    x, y = estimate.position
     axes.annotate(
         text,
         xy=(x, y),
-        xytext=(9.0 * size * math.cos(away), 9.0 * size * math.sin(away)),
+        xytext=(float(place[0]), float(place[1])),
         textcoords="offset points",
-        ha="left" if math.cos(away) > 0.0 else "right",
-        va="bottom" if math.sin(away) > 0.0 else "top",
-        fontsize=max(8.0 * size, 5.0),
+        ha="left",
+        va="bottom",
+        fontsize=_font_size(size),
         path_effects=halo(),
     )
 
@@ -311,18 +364,6 @@ def _draw_object(
 def _object_size(count: int) -> float:
     """How large objects are drawn: 1, less in a crowd."""
     return min(1.0, math.sqrt(_CROWD / max(count, 1)))
-
-
-def _free_direction(estimate: ObjectEstimate, limits: Limits) -> float:
-    """The diagonal direction [rad] away from arrows and from the axes' border: room for text."""
-    diagonals = np.pi / 4.0 * np.array([1, -1, 3, -3])
-    arrows = np.array([m.orientation for m in estimate.modes if m.mass >= _LABELLED_MASS])
-    crowding = np.cos(diagonals[:, None] - arrows).max(axis=1, initial=-1.0)
-    left, right, bottom, top = limits
-    outward_x = 2.0 * (estimate.position[0] - left) / (right - left) - 1.0
-    outward_y = 2.0 * (estimate.position[1] - bottom) / (top - bottom) - 1.0
-    outward = outward_x * np.cos(diagonals) + outward_y * np.sin(diagonals)
-    return float(diagonals[int((crowding + 0.5 * outward).argmin())])
 
 
 def _limits(

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
@@ -28,6 +29,7 @@ from mclass.text.values import count_text, degrees_text, probability_text
 
 _MOST_PANELS = 8
 _MOST_CLASSES = 6
+_NOTHING = 5e-5
 _LABELLED_MODES = 4
 _LABELLED_MASS = 0.02
 
@@ -61,9 +63,8 @@ def orientation_figure(
         panels[0].set_axis_off()
         panels[0].text(0.5, 0.5, "no measurement", ha="center", va="center")
         return figure
-    # The same classes in every panel: those that matter in the end.
-    order = np.argsort(-history[-1].class_probabilities[1:], kind="stable")[:_MOST_CLASSES]
-    shown = sorted(int(index) for index in order)
+    # The same classes in every panel.
+    shown = _worth_drawing([history[index] for index in after])
     for axes, index in zip(panels, after, strict=False):
         before = history[index - 1] if index else None
         _density_panel(axes, history[index], before, shown, class_names)
@@ -75,6 +76,13 @@ def orientation_figure(
     for axes in panels[: len(after) : columns]:
         axes.set_ylabel("density [1/rad]")
     return figure
+
+
+def _worth_drawing(reports: Sequence[CellReport]) -> list[int]:
+    """Classes that are probable at some time: the likeliest few of them, in the model's order."""
+    highest = np.max([report.class_probabilities[1:] for report in reports], axis=0)
+    order = np.argsort(-highest, kind="stable")[:_MOST_CLASSES]
+    return sorted(int(index) for index in order if index == order[0] or highest[index] > _NOTHING)
 
 
 def _density_panel(
@@ -99,7 +107,8 @@ def _density_panel(
         names.append(f"{probability}  {drawable(class_names[index])}")
     hidden = len(class_names) - len(shown)
     if hidden:
-        names[-1] += f"\n(+ {hidden} not drawn)"
+        handles.append(Line2D([], [], linestyle=""))
+        names.append(f"{hidden} more not drawn")
     axes.set(xlim=(0.0, 360.0), xticks=range(0, 361, 45))
     axes.set_ylim(0.0, 1.2 * axes.dataLim.y1)
     _mark_modes(axes, step)
@@ -148,8 +157,7 @@ def cell_figure(
         frame: World frame; 0° is its x axis, angles grow counter-clockwise.
         object_id: Whose belief it is; None for the grid's.
     """
-    order = np.argsort(-report.class_probabilities[1:], kind="stable")[:_MOST_CLASSES]
-    shown = sorted(int(index) for index in order)
+    shown = _worth_drawing([report])
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     bars, rose = figure.subplot_mosaic(
         [["bars", "rose"]], per_subplot_kw={"rose": {"projection": "polar"}}

@@ -26,7 +26,8 @@ Parameters = ParamSpec("Parameters")
 
 # Dashes and markers tell classes apart in grey print, where their colours cannot.
 CLASS_DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (5, 1, 1, 1)), (0, (1, 1)))
-CLASS_MARKERS = ("o", "s", "^", "D", "v", "P")
+# Seven beside six colours: pairs repeat only after 42 classes.
+CLASS_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 BACKGROUND_COLOR = "#767676"
 TRACK_COLOR = "#0072B2"
 OBJECT_COLOR = "#D55E00"

@@ -22,6 +22,9 @@ from mclass.viewing.recording import (
 
 _MOST_MAPS = 12
 _MOST_OBJECTS = 60
+_MOST_LEGEND = 7
+"""More series than this, and their legend would hide them; the mouse still tells which is which."""
+
 _STACKED = 3
 """So many objects are seen at once, of more one behind the other."""
 
@@ -51,7 +54,8 @@ def blueprint(contents: Contents) -> rrb.Blueprint:
     maps = [_map_view(name, part, eye) for name, part in shown]
     chosen = list(contents.objects)[:_MOST_OBJECTS]
     span = _span(contents)
-    objects = [_object_view(display_text(key), paths.objects[key], span) for key in chosen]
+    legend = rrb.PlotLegend("LeftTop", visible=len(paths.classes) < _MOST_LEGEND)
+    objects = [_object_view(display_text(key), paths.objects[key], span, legend) for key in chosen]
     words = rrb.Tabs(
         rrb.TextLogView(
             origin="/" + LABELS,
@@ -99,7 +103,9 @@ def _map_view(name: str, part: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView
     )
 
 
-def _object_view(name: str, part: str, span: rrb.TimeRange | None) -> rrb.Horizontal:
+def _object_view(
+    name: str, part: str, span: rrb.TimeRange | None, legend: rrb.PlotLegend
+) -> rrb.Horizontal:
     """Class probabilities over time, and the orientation density at the time shown."""
     return rrb.Horizontal(
         rrb.TimeSeriesView(
@@ -107,7 +113,7 @@ def _object_view(name: str, part: str, span: rrb.TimeRange | None) -> rrb.Horizo
             name=f"{name}: P(class)",
             axis_x=rrb.TimeAxis(view_range=span),
             axis_y=rrb.ScalarAxis(range=(0.0, 1.02), zoom_lock=True),
-            plot_legend=rrb.PlotLegend("LeftTop"),
+            plot_legend=legend,
         ),
         # Its colours are those of the plot beside it.
         rrb.BarChartView(
