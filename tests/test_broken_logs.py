@@ -6,6 +6,8 @@ cannot read with all its checks is asserted in ``broken_runs`` for each run.
 
 from __future__ import annotations
 
+import io
+import random
 import struct
 import time
 from collections.abc import Callable
@@ -25,8 +27,10 @@ from broken_runs import (
     scene,
 )
 from log_bytes import KINDS, chunks_of, data_end, record_bytes, with_summary
+from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from mcap.summary import Summary
+from mcap.writer import Writer
 from scene_logs import OPTICAL, SceneLog, at, box, detection, header, standing_robot
 
 from mclass.outputs.readback import OutputLog
@@ -572,6 +576,38 @@ class TestValues:
         assert time.monotonic() - began < 60
 
 
+def shuffled(data: bytes, seed: int) -> bytes:
+    """The same messages in another order of the file."""
+    found = list(make_reader(io.BytesIO(data)).iter_messages())
+    random.Random(seed).shuffle(found)
+    stream = io.BytesIO()
+    writer = Writer(stream, chunk_size=1000)
+    writer.start("", "test")
+    channels: dict[int, int] = {}
+    for schema, channel, message in found:
+        if channel.id not in channels:
+            assert schema is not None
+            number = writer.register_schema(schema.name, schema.encoding, schema.data)
+            channels[channel.id] = writer.register_channel(
+                channel.topic, channel.message_encoding, number
+            )
+        writer.add_message(
+            channels[channel.id], message.log_time, message.data, message.publish_time
+        )
+    writer.finish()  # type: ignore[no-untyped-call]
+    return stream.getvalue()
+
+
+def added(data: bytes) -> list[tuple[str, int, int, bytes]]:
+    """The messages that a run added, in file order."""
+    reader = make_reader(io.BytesIO(data))
+    return [
+        (channel.topic, message.log_time, message.sequence, message.data)
+        for _, channel, message in reader.iter_messages(log_time_order=False)
+        if channel.topic.startswith("/mclass/")
+    ]
+
+
 class TestTimes:
     def test_order_and_repetition_do_not_matter(self, place: Workplace, tmp_path: Path) -> None:
         """Messages in any order of the file, poses twice: the same results, digit for digit."""
@@ -596,6 +632,26 @@ class TestTimes:
         run = place.estimate(scene(tmp_path / "b.mcap", written(order, 4), robot=False))
         assert run.used == expected.used == len(times)
         assert run.document["objects"] == expected.document["objects"]
+
+    def test_shuffled_logs_give_the_same_results_bit_for_bit(
+        self, place: Workplace, tmp_path: Path
+    ) -> None:
+        """All that the command adds: beliefs, maps, objects at every update, measurements."""
+
+        def fill(log: SceneLog) -> None:
+            for number in range(8):
+                label = "cup" if number % 3 else "jug"
+                names = ("o", "", "p")[: 1 + number % 3]
+                found = [detection({label: 0.9 - i / 10}, WIDE, n) for i, n in enumerate(names)]
+                log.detections(0.5 + number / 10, found)
+
+        data = scene(tmp_path / "log.mcap", fill)
+        run = place.estimate(data, "--every", "0.2")
+        expected = added(run.output.read_bytes())
+        assert len(expected) > 10
+        for seed in range(2):
+            other = place.estimate(shuffled(data, seed), "--every", "0.2")
+            assert added(other.output.read_bytes()) == expected
 
     def test_header_and_log_clocks_days_apart(self, place: Workplace, tmp_path: Path) -> None:
         def fill(log: SceneLog) -> None:

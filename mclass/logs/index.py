@@ -149,7 +149,7 @@ def _contradiction(index: LogIndex) -> str:
     statistics = index.statistics
     if statistics is None:
         return ""
-    n_chunks = sum(entry.kind is Kind.CHUNK for entry in index.chunks)
+    n_chunks = sum(entry.kind is not Kind.LOOSE for entry in index.chunks)
     if statistics.chunk_count != n_chunks:
         return f"it counts {statistics.chunk_count:,} chunks, the log holds {n_chunks:,}"
     counts = index.message_counts()
