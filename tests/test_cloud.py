@@ -271,6 +271,8 @@ def test_fuse_and_evaluate_by_url(s3: S3, tmp_path: Path) -> None:
     assert objects == objects_of(
         command("inspect", "objects", "s3://fleet/map.mcap", "--format", "json")
     )
+    page = command("report", url, "-o", tmp_path / "page.html")
+    assert page.exit_code == 0, page.output
     itself = command("fuse", url, "-o", url, "--overwrite")
     assert itself.exit_code == 2
     assert "never changed" in itself.stderr

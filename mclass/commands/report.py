@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mclass.commands.completion import FileType
 from mclass.commands.options import LOG, overwrite_option
+
+if TYPE_CHECKING:
+    from mclass.places import Place
 
 
 @click.command(short_help="Write a result as one HTML page to send around.")
@@ -22,7 +26,7 @@ from mclass.commands.options import LOG, overwrite_option
 )
 @overwrite_option
 @click.pass_context
-def report(ctx: click.Context, out: Path, output: Path | None, overwrite: bool) -> None:
+def report(ctx: click.Context, out: Place, output: Path | None, overwrite: bool) -> None:
     """Write the results in OUT as one HTML page that any browser opens, offline.
 
     The page has the map, the objects with their orientations, a slider over the measurements,

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from mclass.logs.pending import PendingFile
 from mclass.outputs.readback import OutputLog
+from mclass.places import Place, Url
 from mclass.report.document import report_document
 from mclass.report.timeline import Json
 
@@ -39,12 +40,13 @@ class Written:
     damage: tuple[str, ...]
 
 
-def default_page(out: Path) -> Path:
-    """``OUT-stem.html`` beside the output."""
-    return out.with_name(f"{out.stem}.html")
+def default_page(out: Place) -> Path:
+    """``OUT-stem.html`` beside the output; of a URL, in the working directory."""
+    name = f"{out.stem}.html"
+    return Path(name) if isinstance(out, Url) else out.with_name(name)
 
 
-def write_report(out: Path, page: Path | None = None, *, overwrite: bool = False) -> Written:
+def write_report(out: Place, page: Path | None = None, *, overwrite: bool = False) -> Written:
     """Write an output as a page; the same output gives the same bytes.
 
     Args:
