@@ -173,6 +173,16 @@ class TestObjectsText:
             "     background   0.0000",
         ]
 
+    def test_on_narrow_terminals_orientation_stands_below(self) -> None:
+        lines = objects_text([estimate()], CLASS_NAMES, "odom", Terminal(width=50)).split("\n")
+        assert lines[2:] == [
+            "id  class             P  pose [m, deg]        n",
+            "o1  books        0.8494  x 4.00 ± 0.05       12",
+            "    background   0.1506  y -2.50 ± 0.06",
+            "    parts       1.8e-05  257.8 ± 9.1 (75 %)",
+            "                         77.5 ± 12.0 (25 %)",
+        ]
+
     def test_tie_and_background_are_said(self) -> None:
         tied = estimate(probabilities=(0.5, 0.25, 0.25), tie=(0, 1))
         lines = objects_text([tied], CLASS_NAMES, "odom", ASCII).split("\n")

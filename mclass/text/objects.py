@@ -25,6 +25,7 @@ _ID_COLUMNS = 12
 _LISTED_CLASSES = 5
 _LISTED_MODES = 4
 _NEGLIGIBLE = 0.001
+_ENDLESS = 10_000
 
 
 def objects_text(
@@ -57,8 +58,7 @@ def objects_text(
             rows.append([name])
             name = ""
         rows.append([name, *_object_cells(estimate, names, terminal)])
-    headings = ["id", "class", "P", "position [m]", "orientation [deg]", "n"]
-    lines = table(headings, rows, "<<><<>", terminal, elastic=(0, 1))
+    lines = _object_table(rows, terminal)
     remarks = [
         terminal.paint(line, "warning")
         for estimate in estimates
@@ -67,6 +67,18 @@ def objects_text(
     ]
     title = f"{count_text(len(estimates), 'object')}, frame {terminal.clean(frame)}"
     return "\n".join([title, "", *lines, *([""] if remarks else []), *remarks])
+
+
+def _object_table(rows: Sequence[Sequence[str]], terminal: Terminal) -> list[str]:
+    """Position beside orientation or, on narrow terminals, above it."""
+    headings = ["id", "class", "P", "position [m]", "orientation [deg]", "n"]
+    full = [row for row in rows if len(row) > 1]
+    natural_width = max(map(display_width, table(headings, full, "<<><<>", Terminal(_ENDLESS))))
+    if natural_width <= terminal.width:
+        return table(headings, rows, "<<><<>", terminal)
+    stacked = [row if len(row) == 1 else [*row[:3], f"{row[3]}\n{row[4]}", row[5]] for row in rows]
+    headings[3:5] = ["pose [m, deg]"]
+    return table(headings, stacked, "<<><>", terminal, elastic=(0, 1))
 
 
 def _object_cells(
