@@ -40,6 +40,7 @@ from mclass.errors import LogError
 from mclass.logs import chunks
 from mclass.logs.damage import Damage
 from mclass.logs.reader import LogReader
+from mclass.logs.source import open_source
 
 RECORD = struct.Struct("<BQ")
 
@@ -678,6 +679,26 @@ def mutated_logs(draw: st.DrawFn) -> bytes:
         else:
             del data[place:]
     return bytes(data)
+
+
+def test_threads_read_at_the_same_time(tmp_path: Path) -> None:
+    """A log is hashed while it is copied; each has its own place in it."""
+    data = MAGIC + np.random.default_rng(3).bytes(2_000_000)
+    source = open_source(written(tmp_path / "log.mcap", data))
+    wrong: list[int] = []
+
+    def look(seed: int) -> None:
+        for offset in np.random.default_rng(seed).integers(0, 2_000_000, 2_000).tolist():
+            if source.read(offset, 64) != data[offset : offset + 64]:
+                wrong.append(offset)
+
+    threads = [threading.Thread(target=look, args=(seed,)) for seed in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    source.close()
+    assert wrong == []
 
 
 class TestMutations:
