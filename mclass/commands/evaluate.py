@@ -11,7 +11,7 @@ import click
 
 from mclass.commands.completion import FileType, figures
 from mclass.commands.console import console
-from mclass.commands.options import LOG, echo_json, format_option
+from mclass.commands.options import LOG, echo_json, format_option, plot_option
 
 if TYPE_CHECKING:
     from typing import Literal
@@ -66,6 +66,7 @@ def _figures() -> Iterable[str]:
     help="Also write each RULE's outcome as a JUnit test.",
 )
 @format_option
+@plot_option
 @click.pass_context
 def evaluate(
     ctx: click.Context,
@@ -77,6 +78,7 @@ def evaluate(
     rule_texts: tuple[str, ...],
     junit_path: Path | None,
     output_format: str,
+    plot_path: Path | None,
 ) -> None:
     """Score the objects in the outputs OUT against what really stood there.
 
@@ -99,6 +101,7 @@ def evaluate(
       mclass evaluate drive.mclass.mcap --truth truth.yaml
       mclass evaluate results/*.mclass.mcap --fail-on 'coverage_90 < 85 %'
       mclass evaluate drive.mclass.mcap --fail-on 'missed > 0' --junit out.xml
+      mclass evaluate results/*.mclass.mcap --plot calibration.png
     """
     from mclass.batch.record import write_whole
     from mclass.evaluation.outputs import evaluate as evaluate_outputs
@@ -116,6 +119,11 @@ def evaluate(
     values = quantities(evaluation)
     outcomes = [(str(rule), rule.miss(values[rule.metric])) for rule in rules]
     failures = [miss for _, miss in outcomes if miss is not None]
+    if plot_path is not None:
+        from mclass.plot.evaluation import evaluation_figure
+        from mclass.plot.style import save_figure
+
+        save_figure(evaluation_figure(evaluation), plot_path)
     if junit_path is not None:
         cases = junit_cases(evaluation, outcomes)
         write_whole(junit_path, junit_xml("mclass evaluate", cases))

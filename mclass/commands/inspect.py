@@ -47,9 +47,15 @@ def inspect() -> None:
 @model_option
 @click.option("--verify", is_flag=True, help="Read and check every byte of the log.")
 @format_option
+@plot_option
 @click.pass_context
 def inspect_log(
-    ctx: click.Context, log: Place, model_path: Path | None, verify: bool, output_format: str
+    ctx: click.Context,
+    log: Place,
+    model_path: Path | None,
+    verify: bool,
+    output_format: str,
+    plot_path: Path | None,
 ) -> None:
     """Say what is in LOG, what `estimate` would use of it, and why not the rest.
 
@@ -59,6 +65,7 @@ def inspect_log(
     Examples:
       mclass inspect log drive.mcap
       mclass inspect log drive.mcap --verify --format json
+      mclass inspect log drive.mcap --plot drive.png
     """
     from mclass.inspection import look_over
     from mclass.text.logs import log_json, log_text
@@ -66,6 +73,11 @@ def inspect_log(
 
     with console() as tell:
         facts, survey = look_over(log, model_path, verify=verify, progress=tell.progress)
+    if plot_path is not None:
+        from mclass.plot.course import log_figure
+        from mclass.plot.style import save_figure
+
+        save_figure(log_figure(survey), plot_path)
     if output_format == "json":
         echo_json(log_json(facts, survey))
     else:

@@ -18,6 +18,7 @@ from mclass.logs.labels import translate_labels
 from mclass.logs.reader import ChannelInfo, LogReader
 from mclass.logs.topics import own_prefix
 from mclass.model import Model
+from mclass.records import BoolArray, FloatArray, IntArray, PoseTrack
 
 _PAIRED_LABELS = 100
 
@@ -73,6 +74,27 @@ class SensorUse:
 
 
 @dataclass(frozen=True)
+class Course:
+    """When and where what was seen.
+
+    Attributes:
+        track: The poses that would be used.
+        looks_ns: When each detection message was taken, by the clock of the track [ns], (m,).
+        covered: Which of them a pose covers, (m,).
+        poses_world_child: Of the track at these times; NaN where none covers them, (m, 3).
+        label_looks: Message of each label, (k,).
+        labels: Index of each label into `Survey.labels`, (k,).
+    """
+
+    track: PoseTrack
+    looks_ns: IntArray
+    covered: BoolArray
+    poses_world_child: FloatArray
+    label_looks: IntArray
+    labels: IntArray
+
+
+@dataclass(frozen=True)
 class Survey:
     """A log at a glance.
 
@@ -100,6 +122,7 @@ class Survey:
         unreadable: Messages that could not be decoded, by topic and reason.
         notes: Choices in words.
         problem: Why `estimate` would fail, empty if it would not.
+        course: When and where what was seen; None when nothing could be read.
     """
 
     channels: tuple[ChannelUse, ...]
@@ -124,6 +147,7 @@ class Survey:
     unreadable: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     problem: str = ""
+    course: Course | None = None
 
 
 def survey(reader: LogReader, model: Model | None = None) -> Survey:
@@ -152,6 +176,7 @@ def survey(reader: LogReader, model: Model | None = None) -> Survey:
     elif source is None:
         problem = "no poses were recognised; name a topic as log.odometry"
     is_chain = source is not None and source.channel is None
+    covered = track.covered(inputs.stamps_ns, max_gap_ns)
     return Survey(
         channels=_sorted(
             tuple(_channel_use(reader, channel, inputs) for channel in reader.channels)
@@ -163,7 +188,7 @@ def survey(reader: LogReader, model: Model | None = None) -> Survey:
         world_frame=track.poses.frame,
         robot_frame=track.poses.child_frame or inputs.robot_frame,
         pose_count=len(track),
-        placed=int(track.covered(inputs.stamps_ns, max_gap_ns).sum()),
+        placed=int(covered.sum()),
         sensors=_sensors(inputs),
         labels=labels,
         together=_together(found, list(labels)[:_PAIRED_LABELS]),
@@ -177,6 +202,24 @@ def survey(reader: LogReader, model: Model | None = None) -> Survey:
         unreadable=inputs.unreadable,
         notes=inputs.notes,
         problem=problem,
+        course=_course(inputs, covered, list(labels)),
+    )
+
+
+def _course(inputs: Inputs, covered: BoolArray, labels: list[str]) -> Course:
+    found, track = inputs.detections, inputs.track
+    poses = np.full((found.n_looks, 3), np.nan)
+    if covered.any():
+        poses[covered] = track.at(inputs.stamps_ns[covered])[0]
+    known, codes = encode_texts(found.labels)
+    places = {name: index for index, name in enumerate(labels)}
+    return Course(
+        track=track.poses,
+        looks_ns=inputs.stamps_ns,
+        covered=covered,
+        poses_world_child=poses,
+        label_looks=found.look_index[found.label_detection],
+        labels=np.array([places[name] for name in known], dtype=np.int64)[codes],
     )
 
 

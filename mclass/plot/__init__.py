@@ -11,6 +11,8 @@ try:
 except ImportError as error:
     raise UsageError("drawing needs matplotlib: pip install 'mclass[plot]'") from error
 
+from mclass.plot.course import log_figure
+from mclass.plot.evaluation import evaluation_figure
 from mclass.plot.likelihood import likelihood_figure
 from mclass.plot.maps import map_figure, objects_figure, ray_segments
 from mclass.plot.orientation import cell_figure, orientation_figure
@@ -18,8 +20,10 @@ from mclass.plot.style import figure_format, save_figure
 
 __all__ = [
     "cell_figure",
+    "evaluation_figure",
     "figure_format",
     "likelihood_figure",
+    "log_figure",
     "map_figure",
     "objects_figure",
     "orientation_figure",

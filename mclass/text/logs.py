@@ -77,7 +77,11 @@ def log_json(facts: LogFacts, survey: Survey) -> JsonObject:
         "damage": list(facts.damage),
         "remarks": list(facts.remarks),
         "verified": dataclasses.asdict(facts.verification) if facts.verification else None,
-        **dataclasses.asdict(survey),
+        **{
+            name: value
+            for name, value in dataclasses.asdict(dataclasses.replace(survey, course=None)).items()
+            if name != "course"
+        },
         "together": [
             {"labels": [first, second], "count": count} for first, second, count in survey.together
         ],
