@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mclass.commands.completion import FileType
+from mclass.commands.console import console
 from mclass.commands.options import LOG, overwrite_option
 
 if TYPE_CHECKING:
@@ -42,7 +43,9 @@ def report(ctx: click.Context, out: Place, output: Path | None, overwrite: bool)
     from mclass.text.terminal import Terminal
     from mclass.text.values import count_text
 
-    written = write_report(out, output, overwrite=overwrite)
+    with console() as tell:
+        tell.progress("composing", 0, 0, "")
+        written = write_report(out, output, overwrite=overwrite)
     terminal = Terminal.of(sys.stdout)
     click.echo(
         f"{terminal.clean(str(written.path), 1000)}: {count_text(written.objects, 'object')}, "

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mclass.commands.completion import FileType
+from mclass.commands.console import console
 from mclass.commands.options import LOG, overwrite_option
 
 if TYPE_CHECKING:
@@ -40,10 +41,12 @@ def view(ctx: click.Context, out: Place, save_path: Path | None, overwrite: bool
     from mclass.text.values import count_text
     from mclass.viewing import open_viewer, save_recording
 
-    if save_path is None:
-        shown = open_viewer(out)
-    else:
-        shown = save_recording(out, save_path, overwrite=overwrite)
+    with console() as tell:
+        tell.progress("recording", 0, 0, "")
+        if save_path is None:
+            shown = open_viewer(out)
+        else:
+            shown = save_recording(out, save_path, overwrite=overwrite)
     contents = shown.contents
     click.echo(
         f"{'opened in Rerun' if save_path is None else save_path}: "
@@ -52,7 +55,7 @@ def view(ctx: click.Context, out: Place, save_path: Path | None, overwrite: bool
         f"{count_text(len(contents.maps), 'map')}"
         + (f", {shown.size / 1e6:.2f} MB" if shown.size else "")
     )
-    for note in contents.notes:
+    for note in () if tell.quiet else contents.notes:
         click.echo(f"note: {note}", err=True)
     for sentence in shown.damage:
         click.echo(f"damaged: {sentence}", err=True)
