@@ -10,26 +10,35 @@ from . import generated
 from .process import mclass
 from .tables import Row
 
-CASES = ((1_000, 0, 0.1, 72), (30_000, 0, 0.1, 72), (1_000, 300, 0.1, 72), (1_000, 0, 0.03, 72),
-         (1_000, 0, 0.1, 360))  # fmt: skip
+CASES = (
+    ("paper", 1_000, 0, 0.1, 72),
+    ("paper", 30_000, 0, 0.1, 72),
+    ("paper", 1_000, 300, 0.1, 72),
+    ("paper", 1_000, 0, 0.03, 72),
+    ("paper", 1_000, 0, 0.1, 360),
+    ("robust", 200, 0, 0.1, 72),
+)
 
 
 def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
     rows = []
-    for pairs, images, cell_size, bins in CASES:
+    for preset, pairs, images, cell_size, bins in CASES:
+        ids = preset == "robust"
         log, output, model = folder / "log.mcap", folder / "out.mcap", folder / "model.yaml"
         log.unlink(missing_ok=True)
-        generated.write_ros(log, pairs, boxes=1, ids=False, images=images, size=2**20)
+        generated.write_ros(log, pairs, boxes=1, ids=ids, images=images, size=2**20)
         text = generated.MODEL.replace("cell_size: 0.1", f"cell_size: {cell_size}")
+        text = text.replace("preset: paper", f"preset: {preset}")
         model.write_text(text.replace("orientation_bins: 72", f"orientation_bins: {bins}"))
         peak = mclass("estimate", log, "-c", model, "-o", output, "--overwrite").peak
         with OutputLog.open(output) as results:
             touched = len(results.maps().cells)
-            classes = len(results.class_names) - 1
+            classes = len(results.class_names)
         limit = 1.5 * touched * classes * bins * 4 + 200e6
         rows.append(
             Row(
-                f"{pairs:,} detections, {log.stat().st_size / 2**20:,.0f} MB, {touched:,} touched "
+                f"{preset}, {pairs:,} detections{' with ids' if ids else ''}, "
+                f"{log.stat().st_size / 2**20:,.0f} MB, {touched:,} touched "
                 f"cells of {cell_size} m, {classes} classes, {bins} bins",
                 f"{peak / 1e6:.0f} MB",
                 f"1.5 × beliefs + 200 MB = {limit / 1e6:.0f} MB",
