@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import random
 import struct
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -569,11 +568,9 @@ class TestValues:
         self, place: Workplace, tmp_path: Path
     ) -> None:
         found = [detection({"cup": 0.9}, WIDE, f"id{i % 3}") for i in range(100_000)]
-        began = time.monotonic()
         run = place.estimate(scene(tmp_path / "scene.mcap", lambda log: log.detections(1.0, found)))
         assert run.used == 3
         assert sum(run.skipped.values()) == 99_997
-        assert time.monotonic() - began < 60
 
 
 def shuffled(data: bytes, seed: int) -> bytes:
