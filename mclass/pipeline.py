@@ -370,7 +370,9 @@ def _followed(
     problem: Problem, progress: Progress
 ) -> tuple[list[ObjectEstimate], list[BeliefBlock]]:
     """Every object's estimates and belief, counting measurements."""
-    total, done = len(problem.used), itertools.count(1)
+    named = int((problem.measurements.object_index[problem.used] >= 0).sum())
+    # Without any id, objects are found among all of them.
+    total, done = named or len(problem.used), itertools.count(1)
     progress("following objects", 0, total, "measurements")
 
     def watch(estimate: ObjectEstimate, readout: Readout) -> None:
