@@ -36,6 +36,9 @@ TOLERANCE = 4e-6
 _DEPTH = 8.0
 """So far below the best view; farther down it may grow by e for every two."""
 
+_MOST_GROWTH = 6.0
+"""But by no more powers of e: where measurements contradict each other, only tails are left."""
+
 _BIN_TOLERANCE = 2e-4
 """Error allowed between orientation bins, where errors of either sign largely cancel."""
 
@@ -215,7 +218,7 @@ def _aspect_error(term: Term, ranges: FloatArray, count: int) -> float:
 def error_growth(samples: FloatArray) -> FloatArray:
     """How much more an error may be where the likelihood is low, (k, ranges, aspects)."""
     depth = samples.max(axis=(0, 2), keepdims=True) - samples
-    return np.asarray(np.exp(np.clip((depth - _DEPTH) / 2.0, 0.0, 100.0)))
+    return np.asarray(np.exp(np.clip((depth - _DEPTH) / 2.0, 0.0, _MOST_GROWTH)))
 
 
 def _refinement(error: float) -> float:

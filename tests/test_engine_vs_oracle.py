@@ -221,7 +221,6 @@ def assert_same_beliefs(
         assert_same_belief(block, row, expected)
 
 
-@pytest.mark.xfail(reason="a table's error may grow with the depth of the tail")
 def test_contradicting_measurements_from_narrow_views() -> None:
     _, grid, measurements = contradicting()
     assert_same_beliefs(narrow_model(0.03, clutter=0.0), grid, permuted(measurements, range(60)))
