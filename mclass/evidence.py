@@ -310,7 +310,11 @@ def _blocks(starts: IntArray, width: int) -> Iterator[tuple[slice, slice, IntArr
 
 
 def _many(table: LikelihoodTable, convolution: ConvolutionTable, rows: int, pairs: int) -> bool:
-    """Whether rows have so many pairs that a convolution is faster than adding row by row."""
+    """Whether rows have so many pairs that a convolution is faster than adding row by row.
+
+    Nothing but the table and the numbers of rows and pairs decides, so the same pairs are always
+    summed in the same way. The two ways differ by rounding and by the tolerance of the tables.
+    """
     return pairs * table.row_cost > _TRANSFORM_COST * rows * convolution.size
 
 
