@@ -74,12 +74,14 @@ class CellView:
 
     Attributes:
         report: Its belief as stored.
+        prior: Its belief before any measurement.
         history: After each look at it; empty unless asked for.
         class_names: Without the background.
         frame: World frame.
     """
 
     report: CellReport
+    prior: CellReport
     history: tuple[CellReport, ...]
     class_names: tuple[str, ...]
     frame: str
@@ -117,9 +119,7 @@ def look_into(out: Place, x: float, y: float, object_id: str | None, *, history:
                 steps = object_history(problem, grid, cell, object_id)
             elif touched:
                 steps = grid_history(problem, cell)
-        if touched:
-            report = stored_report(block, cell)
-        else:
-            priors, bins = model.classes.log_priors, model.grid.orientation_bins
-            report = untouched_report(grid, cell, priors, bins)
-        return CellView(report, tuple(steps), output.class_names, output.frame)
+        priors, bins = model.classes.log_priors, model.grid.orientation_bins
+        prior = untouched_report(grid, cell, priors, bins)
+        report = stored_report(block, cell) if touched else prior
+        return CellView(report, prior, tuple(steps), output.class_names, output.frame)

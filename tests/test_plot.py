@@ -132,6 +132,22 @@ class TestLikelihoodFigure:
         assert not axes.get_images()
         assert "never returned" in [text.get_text() for text in axes.texts]
 
+    def test_around_an_object_that_stands_somewhere(self) -> None:
+        # Facing 90 degrees at (3, -1): the sensor's (0.3, 1.4) in the object's frame is
+        # (3 - 1.4, -1 + 0.3) in the world.
+        model = lopsided_model()
+        figure = likelihood_figure(model, half_width=2.5, pose=(3.0, -1.0, np.pi / 2.0))
+        axes = panel(figure, "label b\nof class two")
+        (image,) = axes.get_images()
+        assert axes.get_xlim() == pytest.approx((0.5, 5.5))
+        assert axes.get_ylim() == pytest.approx((-3.5, 1.5))
+        column, row = round((1.6 - 0.5) / 0.025), round((-0.7 + 3.5) / 0.025)
+        expected = np.exp(model.likelihoods[1, 1].log_likelihood(np.array([0.3, 1.4])))
+        assert np.asarray(image.get_array())[row, column] == pytest.approx(expected)
+        crosses = np.asarray(next(x for x in axes.lines if x.get_marker() == "+").get_xydata())
+        x, y = model.likelihoods[1, 1].mixture.means[0]
+        np.testing.assert_allclose(crosses[0], [3.0 - y, -1.0 + x])
+
     def test_chosen_pairs(self) -> None:
         figure = likelihood_figure(lopsided_model(), pairs=[(2, 1), (0, 0)])
         titles = [axes.get_title() for axes in figure.axes if axes.get_title()]

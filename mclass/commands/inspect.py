@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -179,7 +180,7 @@ def inspect_cell(
 
         if history:
             subject = f"cell ({x:g}, {y:g})" if object_id is None else f"object {object_id}"
-            figure = orientation_figure(found.history, names, subject)
+            figure = orientation_figure((found.prior, *found.history), names, subject)
         else:
             figure = cell_figure(found.report, names, found.frame, object_id)
         save_figure(figure, plot_path)
@@ -194,15 +195,30 @@ def inspect_cell(
 
 @inspect.command("model", short_help="A model's likelihood fields.")
 @click.argument("model", type=FILE)
+@click.option(
+    "--at",
+    "place",
+    type=float,
+    nargs=3,
+    metavar="X Y DEG",
+    help="Draw for an object at X, Y, in the model's length unit, that faces DEG degrees.  "
+    "[default: 0 0 0, its own frame]",
+)
 @format_option
 @plot_option
-def inspect_model(model: Path, output_format: str, plot_path: Path | None) -> None:
+def inspect_model(
+    model: Path,
+    place: tuple[float, float, float] | None,
+    output_format: str,
+    plot_path: Path | None,
+) -> None:
     """Print what MODEL says each class returns and from where; draw it with --plot.
 
     \b
     Examples:
       mclass inspect model boxes.yaml
       mclass inspect model boxes.yaml --plot fields.png
+      mclass inspect model boxes.yaml --at 2 1.5 45 --plot fields.png
     """
     from mclass.config.model_file import load_model
     from mclass.text.models import model_json, model_text
@@ -214,8 +230,16 @@ def inspect_model(model: Path, output_format: str, plot_path: Path | None) -> No
         from mclass.plot.likelihood import likelihood_figure
         from mclass.plot.style import save_figure
 
-        unit = (loaded.length_unit, LENGTH_UNITS[loaded.length_unit])
-        save_figure(likelihood_figure(loaded.classes, unit=unit), plot_path)
+        metres = LENGTH_UNITS[loaded.length_unit]
+        x, y, degrees = place or (0.0, 0.0, 0.0)
+        if not all(map(math.isfinite, (x, y, degrees))):
+            raise click.BadParameter("is not a place", param_hint="--at")
+        figure = likelihood_figure(
+            loaded.classes,
+            unit=(loaded.length_unit, metres),
+            pose=(x * metres, y * metres, math.radians(degrees)),
+        )
+        save_figure(figure, plot_path)
     if output_format == "json":
         echo_json(model_json(loaded))
     else:
