@@ -7,6 +7,7 @@ cannot read with all its checks is asserted in ``broken_runs`` for each run.
 from __future__ import annotations
 
 import io
+import math
 import random
 import struct
 from collections.abc import Callable
@@ -35,6 +36,7 @@ from scene_logs import OPTICAL, SceneLog, at, box, detection, header, standing_r
 from mclass.outputs.readback import OutputLog
 
 NAN, INF = float("nan"), float("inf")
+UPRIGHT = (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))
 
 
 @pytest.fixture(scope="module")
@@ -530,6 +532,28 @@ class TestValues:
         run = place.estimate(scene(tmp_path / "scene.mcap", fill, robot=False))
         assert run.code == 1
         assert "30 position not finite" in run.stderr
+
+    @pytest.mark.parametrize(
+        ("x", "later", "said"),
+        [(NAN, 0.0, "30 position not finite"), (1.0, 1e6, "none is near a detection in time")],
+    )
+    def test_why_better_poses_are_not_used_is_said(
+        self, x: float, later: float, said: str, place: Workplace, tmp_path: Path
+    ) -> None:
+        def fill(log: SceneLog) -> None:
+            for step in range(30):
+                log.odometry(later + step / 10, x, 2.0, 0.0)
+                place_odom = (1.0 + step / 100, 2.0, 0.0)
+                log.transform(step / 10, "odom", "base_link", place_odom, UPRIGHT, topic="/tf")
+            log.transform(0.0, "base_link", "camera", (0.2, 0.0, 0.5), OPTICAL)
+            log.camera(0.0)
+            good(log)
+
+        run = place.estimate(scene(tmp_path / "scene.mcap", fill, robot=False))
+        assert (run.code, run.used) == (0, 1)
+        notes = run.document["notes"]
+        assert f"poses of /odom cannot be used: {said}" in notes
+        assert not any("could also come from" in note for note in notes)
 
     def test_silence_is_no_failure(self, place: Workplace, tmp_path: Path) -> None:
         data = scene(tmp_path / "scene.mcap", lambda log: log.detections(1.0, []))

@@ -268,7 +268,15 @@ class InputReader:
         best = max(usable, key=lambda entry: (entry[0], -entry[2].rank, len(entry[1])))
         _, track, source = best
         self.notes.append(f"poses: {source.name} ({source.kind})")
-        others = [s.name for s in candidates if s is not source]
+        refused = []
+        for _, other_track, other in tried:
+            if other.rank < source.rank:
+                why = _counts(other_track.tally) or "there are none"
+                if len(other_track):
+                    why = "none is near a detection in time"
+                self.notes.append(f"poses of {other.name} cannot be used: {why}")
+                refused.append(other.name)
+        others = [s.name for s in candidates if s is not source and s.name not in refused]
         if others:
             self.notes.append(
                 f"poses could also come from {', '.join(others)}; name one as log.odometry"
