@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -175,3 +178,25 @@ def test_the_survey_as_json_is_without_columns() -> None:
     done = CliRunner().invoke(main, ["inspect", "log", str(LAB), "--format", "json"])
     assert done.exit_code == 0
     assert '"course"' not in done.stdout
+
+
+def test_fuse_draws_what_it_joined(tmp_path: Path) -> None:
+    runner = CliRunner()
+    parts = []
+    for bound in ("-S", "-E"):
+        parts.append(str(tmp_path / f"{bound[1]}.mcap"))
+        arguments = ["estimate", str(LAB), bound, "+25s", "-o", parts[-1]]
+        assert runner.invoke(main, arguments).exit_code == 0
+    whole, target = tmp_path / "map.mcap", tmp_path / "map.svg"
+    done = runner.invoke(main, ["fuse", *parts, "-o", str(whole), "--plot", str(target)])
+    assert done.exit_code == 0, done.output
+    assert target.read_text("utf-8").startswith("<?xml")
+
+
+@pytest.mark.slow
+def test_the_papers_figures(tmp_path: Path) -> None:
+    found = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    figures = LAB.parents[1] / "docs/figures"
+    subprocess.run([figures, tmp_path, "svg"], check=True, env={**os.environ, "PATH": found})
+    numbers = [path.stem.removeprefix("figure").lstrip("s_") for path in tmp_path.iterdir()]
+    assert sorted(numbers) == ["1", "10", "11", "12", "2", "3", "4_5_6", "8", "9"]

@@ -146,20 +146,10 @@ def estimate(
         click.echo(estimate_text(**facts, terminal=Terminal.of(sys.stdout)))
     if plot_path is not None and found.maps is None:
         tell.warn("nothing to draw: no detection points anywhere on the grid")
-    elif plot_path is not None and found.maps is not None:
-        from mclass.plot.maps import map_figure, ray_segments
+    elif plot_path is not None:
+        from mclass.plot.maps import estimate_figure
         from mclass.plot.style import save_figure
 
-        figure = map_figure(
-            found.maps,
-            found.class_names,
-            found.frame,
-            objects=found.objects,
-            track=found.track,
-            rays=ray_segments(
-                found.measurements, found.model.grid.max_range, found.model.grid.footprint
-            ),
-        )
-        save_figure(figure, plot_path)
+        save_figure(estimate_figure(found), plot_path)
     if found.damage:
         ctx.exit(3)

@@ -10,7 +10,14 @@ import click
 
 from mclass.commands.completion import world_frames
 from mclass.commands.console import console
-from mclass.commands.options import FILE, LOG, echo_json, format_option, overwrite_option
+from mclass.commands.options import (
+    FILE,
+    LOG,
+    echo_json,
+    format_option,
+    overwrite_option,
+    plot_option,
+)
 
 if TYPE_CHECKING:
     from mclass.places import Place
@@ -58,6 +65,7 @@ if TYPE_CHECKING:
 )
 @overwrite_option
 @format_option
+@plot_option
 def fuse(
     *,
     outputs: tuple[Place, ...],
@@ -69,6 +77,7 @@ def fuse(
     prefix: str,
     overwrite: bool,
     output_format: str,
+    plot_path: Path | None,
 ) -> None:
     """Join the measurements in OUT... and estimate anew, as if all were of one log.
 
@@ -81,6 +90,7 @@ def fuse(
       mclass fuse monday.mclass.mcap tuesday.mclass.mcap -o map.mcap
       mclass fuse r1.mclass.mcap r2.mclass.mcap -o map.mcap --frames frames.yaml
       mclass fuse results/*.mclass.mcap -o map.mcap --separate-ids
+      mclass fuse monday.mclass.mcap tuesday.mclass.mcap -o map.mcap --plot map.png
     """
     from mclass.fusion import fuse as fuse_outputs
     from mclass.text.documents import estimate_json
@@ -99,6 +109,13 @@ def fuse(
             overwrite=overwrite,
             progress=tell.progress,
         )
+    if plot_path is not None and found.maps is None:
+        tell.warn("nothing to draw: no detection points anywhere on the grid")
+    elif plot_path is not None:
+        from mclass.plot.maps import estimate_figure
+        from mclass.plot.style import save_figure
+
+        save_figure(estimate_figure(found), plot_path)
     tell.detail(choices_text(found, threads=1))
     names = ", ".join(map(str, outputs))
     if output_format == "json":

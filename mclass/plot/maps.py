@@ -19,6 +19,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
 from mclass.classes import BACKGROUND
+from mclass.errors import UsageError
+from mclass.findings import Estimate
 from mclass.outputs.colors import class_color
 from mclass.plot.labels import place_texts, text_size
 from mclass.plot.style import (
@@ -143,6 +145,25 @@ def map_figure(
     handles["not seen: prior"] = Patch(facecolor=_UNTOUCHED_COLOR, edgecolor="#888888")
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
     return figure
+
+
+def estimate_figure(found: Estimate) -> Figure:
+    """What `map_figure` draws of an estimate.
+
+    Raises:
+        UsageError: If it has no maps.
+    """
+    if found.maps is None:
+        raise UsageError("nothing to draw: no detection points anywhere on the grid")
+    grid = found.model.grid
+    return map_figure(
+        found.maps,
+        found.class_names,
+        found.frame,
+        objects=found.objects,
+        track=found.track,
+        rays=ray_segments(found.measurements, grid.max_range, grid.footprint),
+    )
 
 
 @styled
