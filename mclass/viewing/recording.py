@@ -101,7 +101,8 @@ def about_text(contents: Contents) -> str:
     if contents.origin.any():
         x, y = contents.origin
         lines.append(f"- positions are shown less x {x:.0f} m, y {y:.0f} m")
-    lines += ["", "P is a class's probability. Arrows point along an object's x axis, one a mode,"]
+    lines += ["", "P is a class's probability; on the map of one class black is 0 and white 1, and"]
+    lines += ["what was not seen has the prior. Arrows point along an object's x axis, one a mode,"]
     lines += ["the paler the lighter the mode. Curves around an object are P(class) times"]
     lines += ["the orientation density given the class, by direction. All times are header stamps."]
     return "\n".join(lines)
