@@ -90,7 +90,7 @@ def fuse(
       mclass fuse monday.mclass.mcap tuesday.mclass.mcap -o map.mcap
       mclass fuse r1.mclass.mcap r2.mclass.mcap -o map.mcap --frames frames.yaml
       mclass fuse results/*.mclass.mcap -o map.mcap --separate-ids
-      mclass fuse monday.mclass.mcap tuesday.mclass.mcap -o map.mcap --plot map.png
+      mclass fuse results/*.mclass.mcap -o map.mcap --plot map.png
     """
     from mclass.fusion import fuse as fuse_outputs
     from mclass.text.documents import estimate_json
