@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import random
 import signal
@@ -31,6 +32,12 @@ def log(tmp_path: Path) -> Path:
             writer.write(channel, 10 + number, b'{"old": %d}' % number)
         writer.attach("notes", "text/plain", b"keep me", 5)
     return path
+
+
+@pytest.fixture
+def unflushed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No waiting for the disk where thousands of files are only read again."""
+    monkeypatch.setattr(os, "fsync", lambda _: None)
 
 
 def append(path: Path, size: int = 40, *, fail: bool = False) -> None:
@@ -118,7 +125,7 @@ def test_an_error_restores_the_log(log: Path) -> None:
     assert not journal_of(log).exists()
 
 
-def test_a_crash_at_any_byte_of_the_append(log: Path) -> None:
+def test_a_crash_at_any_byte_of_the_append(log: Path, unflushed: None) -> None:
     old, new, journal, data_end = interrupted(log)
     assert len(new) > len(old)
     for written in range(data_end, len(new) + 1):
@@ -142,7 +149,7 @@ def test_a_crash_with_writes_out_of_order(log: Path) -> None:
         assert log.read_bytes() == old
 
 
-def test_a_crash_while_the_journal_is_written(log: Path) -> None:
+def test_a_crash_while_the_journal_is_written(log: Path, unflushed: None) -> None:
     old, _, journal, _ = interrupted(log)
     log.write_bytes(old)
     for written in range(len(journal)):
@@ -184,15 +191,16 @@ def test_a_damaged_log_is_left_alone(log: Path) -> None:
 def test_killed_at_random_moments(log: Path) -> None:
     old = log.read_bytes()
     program = (
-        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path\n"
-        "from test_in_place import append\n"
-        "print('ready', flush=True); append(Path(sys.argv[2]), 300_000)"
+        "from __future__ import annotations\nimport sys; from pathlib import Path\n"
+        "from mclass.logs.reader import LogReader; from mclass.logs.writer import LogWriter\n"
+        f"{inspect.getsource(append)}\n"
+        "print('ready', flush=True); append(Path(sys.argv[1]), 300_000)"
     )
     generator = random.Random(2)
     ends = {"old": 0, "new": 0}
     for _ in range(200):
         log.write_bytes(old)
-        command = [sys.executable, "-c", program, str(Path(__file__).parent), str(log)]
+        command = [sys.executable, "-c", program, str(log)]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as child:
             assert child.stdout is not None
             child.stdout.readline()
