@@ -42,6 +42,7 @@ from mclass.records import BoolArray, IntArray
 _LATEST = (1 << 63) - 1
 _BLOCK = 1 << 20
 _TIMES_LIE = "chunks were chosen by the times they state, and this one's are wrong"
+_MAY_MISS = "chunks state wrong times, so that reading a part of the time can miss messages"
 _MESSAGE_FIELDS = MESSAGE_HEAD - RECORD_HEAD
 
 
@@ -358,6 +359,8 @@ class LogReader:
         for entry, content in self._contents(lambda entry: True):
             if content is not None:
                 redefinitions.foreign(entry, content)
+                if not keeps_times(entry, content) and _MAY_MISS not in problems:
+                    problems.append(_MAY_MISS)
             if progress is not None:
                 progress(entry.offset, self.size)
         problems += [
