@@ -1,6 +1,6 @@
-"""The examples of README.md: find them, run them, compare them.
+"""The examples of README.md and docs/: find them, run them, compare them.
 
-Run as a program it puts the present outputs into README.md: ``python tests/readme.py``.
+Run as a program it puts the present outputs into them: ``python tests/documents.py``.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
+DOCUMENTS = [README, *sorted((ROOT / "docs").glob("*.md"))]
 
 _FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -37,10 +38,11 @@ class Block:
     end: int
 
 
-def blocks(readme: str) -> list[Block]:
+def blocks(document: str) -> list[Block]:
     """The fenced blocks, in order."""
     return [
-        Block(found[1], found[2], found.start(2), found.end(2)) for found in _FENCE.finditer(readme)
+        Block(found[1], found[2], found.start(2), found.end(2))
+        for found in _FENCE.finditer(document)
     ]
 
 
@@ -109,14 +111,14 @@ def _last_digit(number: str) -> float:
     return float(10.0 ** (int(exponent or 0) - decimals))
 
 
-def examples(readme: str) -> Iterator[tuple[str, str, Block]]:
+def examples(document: str) -> Iterator[tuple[str, str, Block]]:
     """What is run, what stands below it, and the block of the latter, in order.
 
     Commands of console blocks stand above their outputs; a program in a python block prints
     what the text block after it shows.
     """
     program = None
-    for block in blocks(readme):
+    for block in blocks(document):
         if block.kind == "console":
             start = block.start
             for line, output in commands(block):
@@ -130,17 +132,18 @@ def examples(readme: str) -> Iterator[tuple[str, str, Block]]:
             program = None
 
 
-def refreshed(readme: str) -> str:
-    """The README with the present outputs of its examples."""
+def refreshed(document: str) -> str:
+    """A document with the present outputs of its examples."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         lay_out(folder)
         parts, end = [], 0
-        for line, _, block in examples(readme):
-            parts += [readme[end : block.start], run(line, folder)]
+        for line, _, block in examples(document):
+            parts += [document[end : block.start], run(line, folder)]
             end = block.end
-        return "".join([*parts, readme[end:]])
+        return "".join([*parts, document[end:]])
 
 
 if __name__ == "__main__":
-    README.write_text(refreshed(README.read_text(encoding="utf-8")), encoding="utf-8")
+    for path in DOCUMENTS:
+        path.write_text(refreshed(path.read_text(encoding="utf-8")), encoding="utf-8")
