@@ -481,6 +481,23 @@ def _gain(results: Results, method: str) -> str:
     return f"{gain:+.1f} ({low:+.1f} to {high:+.1f})"
 
 
+def print_found_either_way(results: Results) -> None:
+    """Class accuracy with ids and without, of the objects that are found without them, too."""
+    pairs = []
+    for log in results:
+        alone = {one.true_id: one.correct for one in log[WITHHELD].score.objects}
+        pairs += [
+            (one.correct, alone[one.true_id])
+            for one in log[DEFAULT].score.objects
+            if one.true_id in alone
+        ]
+    with_ids, without = np.mean(pairs, axis=0)
+    print(
+        f"\nOf the {len(pairs)} objects found either way, {with_ids:.3f} are right with ids, "
+        f"{without:.3f} without."
+    )
+
+
 def _cell(figure: Figure, form: str) -> str:
     return "–" if figure.value is None else form.format(figure.value)
 
@@ -520,6 +537,7 @@ def main() -> None:
     if nameless:
         print("\nThe same logs with ids and with all ids withheld:\n")
         print_table({"all simulated": nameless}, [VOTE, DEFAULT, WITHHELD])
+        print_found_either_way(nameless)
     if "rendered" in sets:
         print()
         print_table({"rendered": sets["rendered"]}, [VOTE, DEFAULT, WITHHELD])
