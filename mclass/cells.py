@@ -8,7 +8,7 @@ from mclass.belief import posterior
 from mclass.evidence import Evidence, Pairs
 from mclass.footprint import Grid, Tile, tiles
 from mclass.gridmap import Causes, tile_pairs
-from mclass.inference import Problem
+from mclass.inference import Problem, object_groups
 from mclass.looks import object_looks
 from mclass.orientation import find_modes, refine, resolution_factors
 from mclass.records import FloatArray, IntArray
@@ -65,10 +65,9 @@ def grid_history(problem: Problem, cell: int) -> list[CellReport]:
 
 def object_history(problem: Problem, grid: Grid, cell: int, object_id: str) -> list[CellReport]:
     """A cell after each look at one object, given that it stands there, evaluated exactly."""
-    index = problem.measurements.object_ids.index(object_id)
-    owners = problem.measurements.object_index[problem.used]
+    group = next(group for name, group in object_groups(problem) if name == object_id)
     known = object_id in problem.model.objects
-    looks = object_looks(problem.looks, problem.used[owners == index], known=known)
+    looks = object_looks(problem.looks, group.rows, group.shares, known=known)
     pairs = looks.pairs(grid.centers(np.array([cell])), grid.cell_size)
     return _history(problem, grid, cell, pairs)
 

@@ -178,7 +178,7 @@ def estimate_objects(
     updates: list[tuple[int, ObjectEstimate]] = []
     beliefs: list[BeliefBlock] = []
     variants = _trajectories(problem)
-    for object_id, group in _groups(problem):
+    for object_id, group in object_groups(problem):
         rows, shares = group.rows, group.shares
         position = model.objects.get(object_id)
         if position is not None:
@@ -241,7 +241,7 @@ def _trajectories(problem: Problem) -> list[Problem]:
     return [prepare(exact, shifted(measurements, offset)) for offset in offsets]
 
 
-def _groups(problem: Problem) -> Iterator[tuple[str, Group]]:
+def object_groups(problem: Problem) -> Iterator[tuple[str, Group]]:
     """The detections of each object: those with its id or, in a log without ids, its share."""
     measurements = problem.measurements
     owner = measurements.object_index[problem.used]

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mclass.cells import object_history, stored_report
 from mclass.config.model_file import parse_model
-from mclass.inference import estimate_objects, prepare
+from mclass.inference import Problem, estimate_objects, prepare
 from mclass.records import FloatArray, Frames, LabelMeasurements
-from mclass.results import ObjectEstimate
+from mclass.results import BeliefBlock, ObjectEstimate
 
 MODEL = """
 length_unit: m
@@ -86,11 +87,36 @@ def last(estimates: list[ObjectEstimate]) -> dict[str, ObjectEstimate]:
 
 
 @pytest.fixture(scope="module")
-def without_ids() -> dict[str, ObjectEstimate]:
+def problem() -> Problem:
     measurements, _ = drive(np.random.default_rng(5))
-    estimates, beliefs = estimate_objects(prepare(parse_model(MODEL, "m"), measurements))
+    return prepare(parse_model(MODEL, "m"), measurements)
+
+
+@pytest.fixture(scope="module")
+def found(problem: Problem) -> tuple[list[ObjectEstimate], list[BeliefBlock]]:
+    return estimate_objects(problem)
+
+
+@pytest.fixture(scope="module")
+def without_ids(
+    found: tuple[list[ObjectEstimate], list[BeliefBlock]],
+) -> dict[str, ObjectEstimate]:
+    estimates, beliefs = found
     assert {belief.object_id for belief in beliefs} == set(last(estimates))
     return last(estimates)
+
+
+def test_the_history_of_a_cell_ends_with_the_belief(
+    problem: Problem, found: tuple[list[ObjectEstimate], list[BeliefBlock]]
+) -> None:
+    block = found[1][1]
+    cell = int(block.cells[block.log_cell_mass.argmax()])
+    history = object_history(problem, block.grid, cell, block.object_id)
+    stored = stored_report(block, cell)
+    np.testing.assert_allclose(
+        history[-1].class_probabilities, stored.class_probabilities, rtol=0, atol=1e-4
+    )
+    assert np.abs(history[0].class_probabilities - stored.class_probabilities).max() > 0.1
 
 
 def test_every_object_is_found_and_no_other(without_ids: dict[str, ObjectEstimate]) -> None:
