@@ -46,6 +46,7 @@ class _Output:
         inputs: Hashes of the logs that it comes from.
         model_text: Its model file.
         model_name: Name of that file.
+        damage: What of the output was lost, in sentences.
     """
 
     path: Place
@@ -56,6 +57,7 @@ class _Output:
     inputs: frozenset[str]
     model_text: str
     model_name: str
+    damage: tuple[str, ...]
 
 
 def fuse(
@@ -126,7 +128,7 @@ def fuse(
         for source, pose in zip(sources, poses, strict=True)
     ]
     encodings = {source.encoding for source in sources}
-    return infer(
+    found = infer(
         join(parts, chosen.classes.label_names, drift),
         _without_drift(chosen) if drift > 0.0 else chosen,
         output=output,
@@ -147,6 +149,8 @@ def fuse(
         },
         progress=progress,
     )
+    damage = [f"{source.path.name}: {text}" for source in sources for text in source.damage]
+    return replace(found, damage=tuple(damage))
 
 
 def _is_same(one: Place, other: Place) -> bool:
@@ -180,6 +184,7 @@ def _read(paths: Sequence[Place], progress: Progress) -> list[_Output]:
                     inputs=_inputs(log),
                     model_text=log.model_text,
                     model_name=log.model_name,
+                    damage=log.reader.damage.losses,
                 )
             )
     return sources

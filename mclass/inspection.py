@@ -78,6 +78,7 @@ class CellView:
         history: After each look at it; empty unless asked for.
         class_names: Without the background.
         frame: World frame.
+        damage: What of the output was lost, in sentences.
     """
 
     report: CellReport
@@ -85,6 +86,7 @@ class CellView:
     history: tuple[CellReport, ...]
     class_names: tuple[str, ...]
     frame: str
+    damage: tuple[str, ...]
 
 
 def look_into(out: Place, x: float, y: float, object_id: str | None, *, history: bool) -> CellView:
@@ -122,4 +124,5 @@ def look_into(out: Place, x: float, y: float, object_id: str | None, *, history:
         priors, bins = model.classes.log_priors, model.grid.orientation_bins
         prior = untouched_report(grid, cell, priors, bins)
         report = stored_report(block, cell) if touched else prior
-        return CellView(report, prior, tuple(steps), output.class_names, output.frame)
+        damage = output.reader.damage.losses
+        return CellView(report, prior, tuple(steps), output.class_names, output.frame, damage)

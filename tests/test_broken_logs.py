@@ -26,6 +26,7 @@ from broken_runs import (
     read_whole,
     scene,
 )
+from click.testing import CliRunner
 from log_bytes import KINDS, chunks_of, data_end, record_bytes, with_summary
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
@@ -33,6 +34,7 @@ from mcap.summary import Summary
 from mcap.writer import Writer
 from scene_logs import OPTICAL, SceneLog, at, box, detection, header, standing_robot
 
+from mclass.commands.cli import main
 from mclass.outputs.readback import OutputLog
 
 NAN, INF = float("nan"), float("inf")
@@ -272,6 +274,38 @@ class TestLies:
         shown = place.inspect(broken, "--verify")
         assert shown.code == 3
         assert "1 chunk" in shown.document["damage"][0]
+
+
+class TestOutputs:
+    """What is read back from damaged outputs is said to be damaged."""
+
+    @pytest.mark.parametrize(
+        "words",
+        [
+            ("inspect", "objects", "cut.mcap"),
+            ("inspect", "objects", "cut.mcap", "--format", "json"),
+            ("inspect", "cell", "cut.mcap", "1", "3"),
+            ("inspect", "cell", "cut.mcap", "1", "3", "--object", "o"),
+            ("fuse", "cut.mcap", "-o", "map.mcap", "--overwrite"),
+        ],
+    )
+    def test_results_of_a_cut_output(
+        self, words: tuple[str, ...], place: Workplace, sound: bytes
+    ) -> None:
+        whole = place.estimate(sound).output.read_bytes()
+        (place.folder / "cut.mcap").write_bytes(whole[: data_end(whole)])
+        run = [str(place.folder / word) if word.endswith(".mcap") else word for word in words]
+        done = CliRunner().invoke(main, run)
+        assert done.exit_code == 3
+        assert "o" in done.stdout
+        assert "the file ends here without an end mark" in " ".join(done.output.split())
+
+    def test_outputs_whose_results_are_lost(self, place: Workplace, sound: bytes) -> None:
+        whole = place.estimate(sound).output.read_bytes()
+        (place.folder / "cut.mcap").write_bytes(whole[: len(sound)])
+        done = CliRunner().invoke(main, ["inspect", "objects", str(place.folder / "cut.mcap")])
+        assert done.exit_code == 1
+        assert "Or they are lost, since the file is damaged: lost" in done.stderr
 
 
 class TestNotLogs:

@@ -66,7 +66,9 @@ if TYPE_CHECKING:
 @overwrite_option
 @format_option
 @plot_option
+@click.pass_context
 def fuse(
+    ctx: click.Context,
     *,
     outputs: tuple[Place, ...],
     output: Place,
@@ -128,19 +130,23 @@ def fuse(
             objects=found.objects,
             class_names=found.class_names,
             frame=found.frame,
+            damage=found.damage,
         )
         echo_json({**document, "input": [str(path) for path in outputs]})
-        return
-    click.echo(
-        estimate_text(
-            input_path=names,
-            output_path=str(output),
-            model_name=found.model.name,
-            used=found.used,
-            skipped=found.skipped,
-            objects=found.objects,
-            class_names=found.class_names,
-            frame=found.frame,
-            terminal=Terminal.of(sys.stdout),
+    else:
+        click.echo(
+            estimate_text(
+                input_path=names,
+                output_path=str(output),
+                model_name=found.model.name,
+                used=found.used,
+                skipped=found.skipped,
+                objects=found.objects,
+                class_names=found.class_names,
+                frame=found.frame,
+                damage=found.damage,
+                terminal=Terminal.of(sys.stdout),
+            )
         )
-    )
+    if found.damage:
+        ctx.exit(3)

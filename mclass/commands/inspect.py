@@ -17,6 +17,7 @@ from mclass.commands.options import (
     FILE,
     LOG,
     echo_json,
+    end_damaged,
     format_option,
     model_option,
     plot_option,
@@ -94,7 +95,10 @@ def inspect_log(
 @history_option
 @format_option
 @plot_option
-def inspect_objects(out: Place, history: bool, output_format: str, plot_path: Path | None) -> None:
+@click.pass_context
+def inspect_objects(
+    ctx: click.Context, out: Place, history: bool, output_format: str, plot_path: Path | None
+) -> None:
     """Print every object in OUT: class probabilities, position, orientation modes.
 
     \b
@@ -113,6 +117,7 @@ def inspect_objects(out: Place, history: bool, output_format: str, plot_path: Pa
     with OutputLog.open(out) as output:
         objects, names, frame = output.objects(), output.class_names, output.frame
         past = output.history() if history else None
+        damage = output.reader.damage.losses
     if plot_path is not None:
         from mclass.plot.maps import objects_figure
         from mclass.plot.style import save_figure
@@ -126,6 +131,7 @@ def inspect_objects(out: Place, history: bool, output_format: str, plot_path: Pa
         for object_id, steps in sorted((past or {}).items(), key=lambda item: natural(item[0])):
             click.echo(f"\nobject {terminal.clean(object_id)}")
             click.echo(history_text(steps, names, terminal))
+    end_damaged(ctx, damage)
 
 
 @inspect.command(
@@ -146,7 +152,9 @@ def inspect_objects(out: Place, history: bool, output_format: str, plot_path: Pa
 @history_option
 @format_option
 @plot_option
+@click.pass_context
 def inspect_cell(
+    ctx: click.Context,
     out: Place,
     x: float,
     y: float,
@@ -191,6 +199,7 @@ def inspect_cell(
         click.echo(cell_text(found.report, names, found.frame, terminal, object_id))
         if shown is not None:
             click.echo("\n" + history_text(shown, names, terminal))
+    end_damaged(ctx, found.damage)
 
 
 @inspect.command("model", short_help="A model's likelihood fields.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -101,3 +101,11 @@ def echo_json(document: Any) -> None:
     import json
 
     click.echo(json.dumps(document, allow_nan=False, indent=1))
+
+
+def end_damaged(ctx: click.Context, damage: Sequence[str]) -> None:
+    """Say what of the input was lost, and end with 3; nothing if nothing was."""
+    for sentence in damage:
+        click.echo(f"damaged: {sentence}", err=True)
+    if damage:
+        ctx.exit(3)

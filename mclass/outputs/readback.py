@@ -69,7 +69,7 @@ class OutputLog:
         self._path = str(reader.path)
         metadata = reader.metadata(METADATA_NAME)
         if metadata is None:
-            raise LogError(_NO_CHANNELS, path=self._path)
+            raise _no_results(reader)
         self.metadata = metadata
         try:
             self.frame = metadata["frame"]
@@ -84,7 +84,7 @@ class OutputLog:
         self._codecs: dict[int, _Decoder] = {}
         self._channels = {kind: self._find(kind) for kind in _KINDS}
         if not any(self._channels.values()):
-            raise LogError(_NO_CHANNELS, path=self._path)
+            raise _no_results(reader)
 
     @classmethod
     def open(cls, path: PlaceLike) -> OutputLog:
@@ -341,6 +341,12 @@ class OutputLog:
                 f"a message does not hold what it should ({error}); it may be of another version",
                 path=self._path,
             ) from error
+
+
+def _no_results(reader: LogReader) -> LogError:
+    lost = "; ".join(reader.damage.losses)
+    damaged = f". Or they are lost, since the file is damaged: {lost}" if lost else ""
+    return LogError(f"{_NO_CHANNELS}{damaged}", path=str(reader.path))
 
 
 def _codec(channel: ChannelInfo) -> _Decoder:
