@@ -61,6 +61,7 @@ def run(steps: list[str], repository: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [github_steps(), gitlab_steps()], ids=["github", "gitlab"])
 def test_recipe_passes_and_fails_when_results_get_worse(steps: list[str], repository: Path) -> None:
     done = run(steps, repository)

@@ -649,8 +649,15 @@ class TestProcess:
         done = subprocess.run([program, "--version"], capture_output=True, check=True)
         assert done.stdout == mclass_process("--version").stdout
 
-    @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
-    @pytest.mark.parametrize("output_format", ["text", "json"])
+    @pytest.mark.parametrize(
+        ("encoding", "output_format"),
+        [
+            ("ascii", "text"),
+            ("cp1252", "json"),
+            pytest.param("ascii", "json", marks=pytest.mark.slow),
+            pytest.param("cp1252", "text", marks=pytest.mark.slow),
+        ],
+    )
     def test_any_encoding_of_stdout(
         self, encoding: str, output_format: str, tmp_path: Path
     ) -> None:

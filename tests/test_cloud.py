@@ -281,6 +281,7 @@ def test_fuse_and_evaluate_by_url(s3: S3, tmp_path: Path) -> None:
 # Many logs.
 
 
+@pytest.mark.slow
 def test_batch_from_bucket_to_bucket(s3: S3, tmp_path: Path) -> None:
     for name in ("a/lab.mcap", "b/lab.mcap", "old.mclass.mcap", "notes.txt"):
         s3.put("fleet", f"logs/{name}", LAB.read_bytes())
@@ -371,6 +372,7 @@ def test_a_store_without_versions_leaves_no_hash(web: Web, tmp_path: Path) -> No
         assert entry["reused"] is False
 
 
+@pytest.mark.slow
 def test_over_tls(tmp_path: Path) -> None:
     pem, key = tmp_path / "server.pem", tmp_path / "key.pem"
     subprocess.run(

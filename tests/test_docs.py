@@ -113,6 +113,7 @@ def assert_can_be_typed(words: list[str]) -> None:
 
 
 class TestDocuments:
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", [name for name in TEXTS if "```console" in TEXTS[name]])
     def test_examples_print_what_is_shown(self, name: str, tmp_path: Path) -> None:
         documents.lay_out(tmp_path)
@@ -273,7 +274,14 @@ class TestShippedFiles:
         assert path.name in mclass("inspect", "model", path, "--plot", picture).stdout
         assert picture.stat().st_size > 1000
 
-    @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.name)
+    @pytest.mark.parametrize(
+        "path",
+        [
+            pytest.param(path, marks=[pytest.mark.slow] if path.stem == "office" else [])
+            for path in SCENARIOS
+        ],
+        ids=lambda path: path.name,
+    )
     def test_scenarios_run(self, path: Path, tmp_path: Path) -> None:
         log = tmp_path / "log.mcap"
         mclass("simulate", path, "-o", log)
