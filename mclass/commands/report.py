@@ -44,8 +44,7 @@ def report(ctx: click.Context, out: Place, output: Path | None, overwrite: bool)
     from mclass.text.values import count_text
 
     with console() as tell:
-        tell.progress("composing", 0, 0, "")
-        written = write_report(out, output, overwrite=overwrite)
+        written = write_report(out, output, overwrite=overwrite, progress=tell.progress)
     terminal = Terminal.of(sys.stdout)
     click.echo(
         f"{terminal.clean(str(written.path), 1000)}: {count_text(written.objects, 'object')}, "

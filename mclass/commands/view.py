@@ -42,11 +42,10 @@ def view(ctx: click.Context, out: Place, save_path: Path | None, overwrite: bool
     from mclass.viewing import open_viewer, save_recording
 
     with console() as tell:
-        tell.progress("recording", 0, 0, "")
         if save_path is None:
-            shown = open_viewer(out)
+            shown = open_viewer(out, progress=tell.progress)
         else:
-            shown = save_recording(out, save_path, overwrite=overwrite)
+            shown = save_recording(out, save_path, overwrite=overwrite, progress=tell.progress)
     contents = shown.contents
     click.echo(
         f"{'opened in Rerun' if save_path is None else save_path}: "

@@ -12,6 +12,7 @@ from pathlib import Path
 from mclass.logs.pending import PendingFile
 from mclass.outputs.readback import OutputLog
 from mclass.places import Place, Url
+from mclass.progress import Progress, in_bytes, unheard
 from mclass.report.document import report_document
 from mclass.report.timeline import Json
 
@@ -46,23 +47,32 @@ def default_page(out: Place) -> Path:
     return Path(name) if isinstance(out, Url) else out.with_name(name)
 
 
-def write_report(out: Place, page: Path | None = None, *, overwrite: bool = False) -> Written:
+def write_report(
+    out: Place,
+    page: Path | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress = unheard,
+) -> Written:
     """Write an output as a page; the same output gives the same bytes.
 
     Args:
         out: Written by `mclass.pipeline.estimate`.
         page: Where to; beside the output when None.
         overwrite: Replace a page that is there.
+        progress: Told how far the work is.
 
     Raises:
         LogError: If the output cannot be read, or the page cannot be written.
     """
     target = default_page(out) if page is None else page
     with OutputLog.open(out) as output:
+        output.reader.on_read = in_bytes(progress, "reading")
         # Refused before any work is done.
         pending = PendingFile(target, overwrite=overwrite, source=output.reader.source)
         document = report_document(output)
         damage = output.reader.damage.losses
+        progress("composing", 0, 0, "")
         data = page_html(document).encode("utf-8")
         try:
             pending.open()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from mclass.inference import estimate_objects, prepare
 from mclass.model import GridSettings, Model
 from mclass.outputs.readback import OutputLog
 from mclass.outputs.track import track_of
+from mclass.progress import Progress, in_bytes, unheard
 from mclass.records import FloatArray, LabelMeasurements, PoseTrack
 from mclass.results import ClassMaps, ObjectEstimate
 from mclass.summary import Readout, orientation_densities
@@ -82,15 +84,17 @@ class Contents:
     notes: tuple[str, ...] = field(default=())
 
 
-def gather(output: OutputLog) -> Contents:
+def gather(output: OutputLog, progress: Progress = unheard) -> Contents:
     """Read an output, and compute anew how each measurement moved the objects' orientations.
 
     Args:
         output: Written by `mclass.pipeline.estimate` or `infer`, or fused.
+        progress: Told how far the work is.
 
     Raises:
         LogError: If a part of the results is lost.
     """
+    output.reader.on_read = in_bytes(progress, "reading")
     notes: list[str] = []
     measurements, history = output.measurements(), output.history()
     model = None
@@ -99,7 +103,7 @@ def gather(output: OutputLog) -> Contents:
     except (ConfigError, LogError):
         notes.append("orientation densities are left out: the model cannot be read")
     steps = _density_steps(history)
-    densities = {} if model is None else _densities(model, measurements, history, steps)
+    densities = {} if model is None else _densities(model, measurements, history, steps, progress)
     objects = {}
     for object_id, estimates in sorted(history.items(), key=lambda item: natural(item[0])):
         kept = tuple(s for s in steps[object_id] if (object_id, s) in densities)
@@ -140,6 +144,7 @@ def _densities(
     measurements: LabelMeasurements,
     history: Mapping[str, tuple[ObjectEstimate, ...]],
     steps: Mapping[str, list[int]],
+    progress: Progress,
 ) -> dict[tuple[str, int], FloatArray]:
     """P(class) p(orientation | class) by object id and index of its estimate, (n, `BINS`)."""
     wanted = {
@@ -148,8 +153,10 @@ def _densities(
         for step in kept
     }
     found: dict[tuple[str, int], FloatArray] = {}
+    total, done = sum(map(len, history.values())), itertools.count(1)
 
     def watch(estimate: ObjectEstimate, readout: Readout) -> None:
+        progress("following objects", next(done), total, "measurements")
         step = wanted.get((estimate.object_id, estimate.measurements))
         if step is not None:
             classes = estimate.class_probabilities[1:, None]

@@ -15,6 +15,7 @@ from mclass.errors import MclassError, UsageError
 from mclass.logs.pending import PendingFile
 from mclass.outputs.readback import OutputLog
 from mclass.places import PlaceLike
+from mclass.progress import Progress, unheard
 from mclass.viewing.blueprint import blueprint
 from mclass.viewing.contents import Contents, gather
 from mclass.viewing.recording import record
@@ -37,13 +38,16 @@ class Shown:
     damage: tuple[str, ...]
 
 
-def save_recording(out: PlaceLike, path: Path, *, overwrite: bool = False) -> Shown:
+def save_recording(
+    out: PlaceLike, path: Path, *, overwrite: bool = False, progress: Progress = unheard
+) -> Shown:
     """Write an output as a recording, complete or not at all.
 
     Args:
         out: Written by `mclass.pipeline.estimate`.
         path: Of the file, by custom ``.rrd``.
         overwrite: Replace a file that is there.
+        progress: Told how far the work is.
 
     Raises:
         LogError: If the output cannot be read, or the file not be written.
@@ -51,8 +55,9 @@ def save_recording(out: PlaceLike, path: Path, *, overwrite: bool = False) -> Sh
     with OutputLog.open(out) as output:
         # Refused before any work is done.
         pending = PendingFile(path, overwrite=overwrite, source=output.reader.source)
-        contents = gather(output)
+        contents = gather(output, progress)
         damage = tuple(output.reader.damage.losses)
+        progress("recording", 0, 0, "")
         try:
             pending.open()
             with TemporaryDirectory() as folder:
@@ -73,8 +78,12 @@ def save_recording(out: PlaceLike, path: Path, *, overwrite: bool = False) -> Sh
     return Shown(contents, size, damage)
 
 
-def open_viewer(out: PlaceLike) -> Shown:
+def open_viewer(out: PlaceLike, *, progress: Progress = unheard) -> Shown:
     """Show an output in the viewer's window, which stays when the program ends.
+
+    Args:
+        out: Written by `mclass.pipeline.estimate`.
+        progress: Told how far the work is.
 
     Raises:
         LogError: If the output cannot be read.
@@ -86,8 +95,9 @@ def open_viewer(out: PlaceLike) -> Shown:
     ):
         raise UsageError("no display to open a window on; write a file with --save FILE.rrd")
     with OutputLog.open(out) as output:
-        contents = gather(output)
+        contents = gather(output, progress)
         damage = tuple(output.reader.damage.losses)
+    progress("recording", 0, 0, "")
     recording = _recording(contents)
     try:
         recording.spawn(hide_welcome_screen=True)
