@@ -59,10 +59,12 @@ def _reliability(axes: Axes, confidence: FloatArray, correct: FloatArray) -> Non
     mean = np.bincount(bins, confidence, _BINS)[used] / counts[used]
     share = np.bincount(bins, correct, _BINS)[used] / counts[used]
     low, high = wilson_interval(share, counts[used])
+    # As plain numbers: of arrays of one element some releases of matplotlib ask for a scalar.
+    below, above = np.clip([share - low, high - share], 0.0, None).tolist()
     axes.errorbar(
         mean,
         share,
-        yerr=[np.clip(share - low, 0.0, None), np.clip(high - share, 0.0, None)],
+        yerr=[below, above],
         fmt="o",
         color=TRACK_COLOR,
         capsize=3.0,
