@@ -21,10 +21,11 @@ from mclass.evaluation.density import joint_density
 from mclass.inspection import look_into
 from mclass.outputs.readback import OutputLog
 from mclass.summary import Readout, orientation_densities
-from mclass.viewing import save_recording
-from mclass.viewing.contents import BINS, gather
 
 rerun_chunk = pytest.importorskip("rerun.chunk")
+
+from mclass.viewing import save_recording  # noqa: E402 (needs Rerun)
+from mclass.viewing.contents import BINS, gather  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 
