@@ -116,6 +116,7 @@ def test_the_history_of_a_cell_ends_with_the_belief(
     np.testing.assert_allclose(
         history[-1].class_probabilities, stored.class_probabilities, rtol=0, atol=1e-4
     )
+    np.testing.assert_allclose(history[-1].density, stored.density, rtol=2e-3, atol=1e-4)
     assert np.abs(history[0].class_probabilities - stored.class_probabilities).max() > 0.1
 
 
