@@ -7,7 +7,6 @@ once, and looks from one place share one vote whichever log they are in.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -194,9 +193,9 @@ def _inputs(log: OutputLog) -> frozenset[str]:
     """Hashes of the logs that an output comes from; a map comes from several."""
     hashes = {log.metadata.get("input_hash", "")}
     try:
-        for entry in json.loads(log.metadata.get("settings", "{}")).get("fused", ()):
+        for entry in log.recorded("settings").get("fused", ()):
             hashes.update(entry["inputs"])
-    except (ValueError, AttributeError, KeyError, TypeError):
+    except (KeyError, TypeError):
         pass  # another version's settings; only this check is lost
     return frozenset(hashes - {""})
 

@@ -38,6 +38,7 @@ from mclass.messages import protobuf, ros
 from mclass.outputs import values
 from mclass.outputs.channels import Encoding, OutputChannels
 from mclass.outputs.readback import OutputLog
+from mclass.outputs.track import SENSOR, track_of
 from mclass.records import Frames, LabelMeasurements
 from mclass.results import BeliefBlock, ObjectEstimate
 
@@ -74,6 +75,22 @@ def test_header_is_read(written: Path) -> None:
         assert output.metadata["input_hash"] == "sha256:00"
         assert output.metadata["settings"] == '{"every": 2}'
         assert output.metadata["model_hash"].startswith("sha256:")
+
+
+def test_recorded_objects_are_read_and_others_are_none(written: Path) -> None:
+    with OutputLog.open(written) as output:
+        for text, expected in (
+            ('{"start": "+1s"}', {"start": "+1s"}),
+            ('["input"]', {}),
+            ("{", {}),
+            (None, {}),
+        ):
+            output.metadata = {} if text is None else {"settings": text}
+            assert output.recorded("settings") == expected
+        # Settings of another shape leave the sensor's own track.
+        output.metadata = {"settings": '["input"]'}
+        found = output.measurements()
+        assert track_of(output, model(), found).child_frame == SENSOR
 
 
 def test_latest_objects_are_read(written: Path) -> None:

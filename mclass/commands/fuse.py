@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -119,34 +119,20 @@ def fuse(
 
         save_figure(estimate_figure(found), plot_path)
     tell.detail(choices_text(found, threads=1))
-    names = ", ".join(map(str, outputs))
+    facts: dict[str, Any] = {
+        "input_path": ", ".join(map(str, outputs)),
+        "output_path": str(output),
+        "model_name": found.model.name,
+        "used": found.used,
+        "skipped": found.skipped,
+        "objects": found.objects,
+        "class_names": found.class_names,
+        "frame": found.frame,
+        "damage": found.damage,
+    }
     if output_format == "json":
-        document = estimate_json(
-            input_path=names,
-            output_path=str(output),
-            model_name=found.model.name,
-            used=found.used,
-            skipped=found.skipped,
-            objects=found.objects,
-            class_names=found.class_names,
-            frame=found.frame,
-            damage=found.damage,
-        )
-        echo_json({**document, "input": [str(path) for path in outputs]})
+        echo_json({**estimate_json(**facts), "input": [str(path) for path in outputs]})
     else:
-        click.echo(
-            estimate_text(
-                input_path=names,
-                output_path=str(output),
-                model_name=found.model.name,
-                used=found.used,
-                skipped=found.skipped,
-                objects=found.objects,
-                class_names=found.class_names,
-                frame=found.frame,
-                damage=found.damage,
-                terminal=Terminal.of(sys.stdout),
-            )
-        )
+        click.echo(estimate_text(**facts, terminal=Terminal.of(sys.stdout)))
     if found.damage:
         ctx.exit(3)

@@ -25,6 +25,11 @@ def class_color(index: int) -> tuple[float, float, float]:
     return red / 255.0, green / 255.0, blue / 255.0
 
 
+def hex_color(color: tuple[int, int, int]) -> str:
+    """``#rrggbb`` of red, green, blue, 0 to 255."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
 def palette(n_classes: int) -> FloatArray:
     """Colours 0 to 255 of the background and the classes, (1 + n, 3)."""
     classes = [CLASS_COLORS[index % len(CLASS_COLORS)] for index in range(n_classes)]

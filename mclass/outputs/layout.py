@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from mclass.classes import BACKGROUND
 from mclass.footprint import Grid
-from mclass.outputs.colors import CLASS_COLORS
+from mclass.outputs.colors import CLASS_COLORS, hex_color
 
 Json: TypeAlias = dict[str, Any]
 
@@ -71,7 +71,7 @@ def layout_for(
     maps = [topic for topic in topics if topic.startswith(f"{prefix}/grid/")]
     for index, topic in enumerate(maps):
         color = CLASS_COLORS[(index - 1) % len(CLASS_COLORS)] if index else (0x44, 0x44, 0x44)
-        shown[topic] = _occupancy_settings("#{:02x}{:02x}{:02x}".format(*color))
+        shown[topic] = _occupancy_settings(hex_color(color))
     for topic in topics:
         if topic.startswith(f"{prefix}/pose/"):
             # Arrows of the same poses are in the markers: these stand by.

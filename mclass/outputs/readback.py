@@ -128,6 +128,14 @@ class OutputLog:
             raise LogError(f"no attachment {MODEL_ATTACHMENT!r}", path=self._path)
         return data.decode("utf-8", "replace")
 
+    def recorded(self, key: str) -> Mapping[str, Any]:
+        """A JSON object of the metadata record; empty when missing or another version's."""
+        try:
+            found = json.loads(self.metadata.get(key, "{}"))
+        except ValueError:
+            return {}
+        return found if isinstance(found, dict) else {}
+
     def objects(self) -> tuple[ObjectEstimate, ...]:
         """Latest estimate of every object; only the end of the log is read."""
         channel = self._channels["objects"]

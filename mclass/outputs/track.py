@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 
 from mclass.errors import LogError, UsageError
 from mclass.logs.measurements import read_measurements
@@ -28,7 +27,7 @@ def track_of(output: OutputLog, model: Model | None, measurements: LabelMeasurem
         measurements: Its measurements.
     """
     with contextlib.suppress(LogError, UsageError, ValueError):
-        settings = json.loads(output.metadata.get("settings", "{}"))
+        settings = output.recorded("settings")
         if model is not None and "input" in settings:
             first = output.reader.start_ns or 0
             start, end = (

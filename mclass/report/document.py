@@ -14,7 +14,7 @@ from mclass.config.model_file import parse_model
 from mclass.errors import ConfigError, LogError
 from mclass.logarithms import logsumexp
 from mclass.model import GridSettings, Model
-from mclass.outputs.colors import BACKGROUND_COLOR, CLASS_COLORS
+from mclass.outputs.colors import BACKGROUND_COLOR, CLASS_COLORS, hex_color
 from mclass.outputs.readback import OutputLog
 from mclass.outputs.track import track_of
 from mclass.records import PoseTrack
@@ -73,9 +73,9 @@ def report_document(output: OutputLog) -> Json:
         "file": shown_name(output.reader.path.name),
         "frame": shown_name(output.frame),
         "background": BACKGROUND,
-        "background_color": _hex(BACKGROUND_COLOR),
+        "background_color": hex_color(BACKGROUND_COLOR),
         "classes": [
-            {"name": shown_name(name), "color": _hex(CLASS_COLORS[index % len(CLASS_COLORS)])}
+            {"name": shown_name(name), "color": hex_color(CLASS_COLORS[index % len(CLASS_COLORS)])}
             for index, name in enumerate(output.class_names)
         ],
         "start": stamp_text(steps.start_ns),
@@ -87,10 +87,6 @@ def report_document(output: OutputLog) -> Json:
         # Last, as reading finds damage.
         "facts": _facts(output),
     }
-
-
-def _hex(color: tuple[int, int, int]) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def _model(output: OutputLog) -> Model | None:
@@ -128,7 +124,7 @@ def _track_document(track: PoseTrack, steps: Steps) -> Json:
 
 def _facts(output: OutputLog) -> Json:
     """What the results rest on, and what became of the input."""
-    account, settings = _json(output, "account"), _json(output, "settings")
+    account, settings = output.recorded("account"), output.recorded("settings")
 
     def sentences(*groups: Any) -> list[str]:
         found = [text for group in groups if isinstance(group, list | tuple) for text in group]
@@ -172,12 +168,3 @@ def _facts(output: OutputLog) -> Json:
 def _sentence(text: str) -> str:
     """Foreign text as it is shown."""
     return Terminal().clean(text, _SENTENCE_COLUMNS)
-
-
-def _json(output: OutputLog, key: str) -> Mapping[str, Any]:
-    """An entry of the metadata record; empty when it is missing or another version's."""
-    with contextlib.suppress(ValueError):
-        found = json.loads(output.metadata.get(key, "{}"))
-        if isinstance(found, dict):
-            return found
-    return {}

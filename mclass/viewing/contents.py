@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -190,12 +188,9 @@ def _facts(output: OutputLog) -> dict[str, str]:
     """What the output says of itself."""
     facts = {"model": output.model_name, "frame": output.frame}
     facts["mclass version"] = output.metadata.get("version", "")
-    account: object = {}
-    with contextlib.suppress(ValueError):
-        account = json.loads(output.metadata.get("account", "{}"))
-    if isinstance(account, dict):
-        facts["measurements used"] = str(account.get("used", ""))
-        skipped = account.get("skipped")
-        if isinstance(skipped, dict):
-            facts |= {f"skipped: {reason}": str(count) for reason, count in skipped.items()}
+    account = output.recorded("account")
+    facts["measurements used"] = str(account.get("used", ""))
+    skipped = account.get("skipped")
+    if isinstance(skipped, dict):
+        facts |= {f"skipped: {reason}": str(count) for reason, count in skipped.items()}
     return {name: text for name, text in facts.items() if text}
