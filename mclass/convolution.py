@@ -75,7 +75,14 @@ class ConvolutionTable:
     def sums(
         self, starts: IntArray, ranges: FloatArray, directions: FloatArray, scale: FloatArray | None
     ) -> FloatArray:
-        """Evidence of every row, (rows, k, bins); arguments as of `LikelihoodTable.weights`."""
+        """Evidence of every row, (rows, k, bins).
+
+        Args:
+            starts: Row ``i`` owns entries ``starts[i]:starts[i + 1]`` of the others, (rows + 1,).
+            ranges: Distances of sensor and cell [m], (p,).
+            directions: World directions of the sensor seen from the cell [rad], (p,).
+            scale: Weight of each measurement, (p,), or None for one each.
+        """
         sums = self._deposit(starts, ranges, directions, scale)
         spectra = rfft(sums, n=self.n_directions, axis=1)
         product = np.matmul(spectra.transpose(1, 0, 2), self.curves)

@@ -4,7 +4,7 @@ A look is one instant at which a cell was measured: a detection, or a frame that
 nothing. Cells are rows; each row owns a run of (cell, look) pairs. Two ways lead from pairs to
 sums: tables (S @ D, fast, for grids) and direct evaluation (exact, for known positions and
 for models whose viewpoints have a bearing term). Both add the same terms. The product S @ D is
-taken row by row where rows have few pairs, as a convolution where they have many.
+taken pair by pair where rows have few of them, as a convolution where they have many.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from functools import cached_property
 from threading import Lock
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from mclass.convolution import ConvolutionTable, take_apart
 from mclass.footprint import Pointing
 from mclass.observation import Term, has_bearing
 from mclass.records import BoolArray, FloatArray, IntArray
-from mclass.table import LikelihoodTable, build_table
+from mclass.spectra import SpectralTable, spectral_table
+from mclass.table import build_table
 
 _SPREADS = (0.0, 0.15, 0.3, 0.6, 1.0)
 """Standard deviations of the sensor's position [m] for which terms are tabulated."""
@@ -33,9 +33,6 @@ _ROWS_AT_ONCE = 16
 
 _NUMBERS_AT_ONCE = 2**16
 """Rows of few pairs are taken together up to so many numbers, to do more work a call."""
-
-_TRANSFORM_COST = 6.0
-"""What a number costs that is carried through an FFT, in numbers added to a sum."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +133,7 @@ class Engine:
     position_covariances: FloatArray | None = None
     reported_bins: int = 0
     direct: bool = False
-    _tables: dict[tuple[int, int, int], tuple[LikelihoodTable, ConvolutionTable]] = field(
+    _tables: dict[tuple[int, int, int], tuple[SpectralTable, ConvolutionTable]] = field(
         default_factory=dict
     )
     _lock: Lock = field(default_factory=Lock)
@@ -213,15 +210,12 @@ class Engine:
     def _add_tabulated(self, term: Term, pairs: Pairs, classes: FloatArray) -> None:
         """Add a term to rows, (rows, n, bins), as S @ D."""
         for level, part in self._by_spread(pairs):
-            table, convolution = self._table(term, float(part.ranges.max()), level)
-            for rows, own, starts in _blocks(part.starts, table.width):
+            few, many = self._table(term, float(part.ranges.max()), level)
+            for rows, own, starts in _blocks(part.starts, self.bins * len(term.classes)):
                 scale = None if part.scale is None else part.scale[own]
                 chosen = (starts, part.ranges[own], part.directions[own], scale)
-                if _many(table, convolution, len(starts) - 1, len(chosen[1])):
-                    sums = convolution.sums(*chosen)
-                else:
-                    sums = _product(table.weights(*chosen), table)
-                sums = sums.reshape(-1, len(term.classes), self.bins)
+                table = many if _many(few, many, len(starts) - 1, len(chosen[1])) else few
+                sums = table.sums(*chosen)
                 if len(term.classes) == self.n_classes:
                     classes[rows] += sums
                 else:
@@ -229,8 +223,8 @@ class Engine:
 
     def _table(
         self, term: Term, farthest: float, spread: int
-    ) -> tuple[LikelihoodTable, ConvolutionTable]:
-        """A table that reaches the maximal range, doubled as often as a pair lies beyond."""
+    ) -> tuple[SpectralTable, ConvolutionTable]:
+        """Tables that reach the maximal range, doubled as often as a pair lies beyond."""
         doublings = max(0, int(np.ceil(np.log2(max(farthest / self.pointing.max_range, 1.0)))))
         key = (term.index, doublings, spread)
         with self._lock:
@@ -240,7 +234,7 @@ class Engine:
 
     def _built(
         self, term: Term, spread: int, farther: float
-    ) -> tuple[LikelihoodTable, ConvolutionTable]:
+    ) -> tuple[SpectralTable, ConvolutionTable]:
         table = build_table(
             term,
             self.bins,
@@ -248,7 +242,7 @@ class Engine:
             self.pointing.max_range * farther,
             _SPREADS[spread] ** 2,
         )
-        return table, take_apart(table)
+        return spectral_table(table), take_apart(table)
 
     def _spread(self, looks: IntArray, orientations: FloatArray) -> FloatArray | None:
         """Position covariances turned into the frame of each orientation, (p, bins, 2, 2)."""
@@ -309,20 +303,10 @@ def _blocks(starts: IntArray, width: int) -> Iterator[tuple[slice, slice, IntArr
         first_pair = last_pair
 
 
-def _many(table: LikelihoodTable, convolution: ConvolutionTable, rows: int, pairs: int) -> bool:
-    """Whether rows have so many pairs that a convolution is faster than adding row by row.
+def _many(few: SpectralTable, many: ConvolutionTable, rows: int, pairs: int) -> bool:
+    """Whether rows have so many pairs that a convolution is faster than a spectrum for each.
 
-    Nothing but the table and the numbers of rows and pairs decides, so the same pairs are always
+    Nothing but the tables and the numbers of rows and pairs decides, so the same pairs are always
     summed in the same way. The two ways differ by rounding and by the tolerance of the tables.
     """
-    return pairs * table.row_cost > _TRANSFORM_COST * rows * convolution.size
-
-
-def _product(weights: csr_array, table: LikelihoodTable) -> FloatArray:
-    """S @ D, over the nodes in use."""
-    used, position = np.unique(weights.indices.astype(np.int64), return_inverse=True)
-    compact = csr_array(
-        (weights.data, position, weights.indptr), shape=(weights.shape[0], len(used))
-    )
-    product: FloatArray = compact @ table.rows(used)
-    return product
+    return pairs * few.size > rows * many.size

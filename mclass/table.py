@@ -6,14 +6,14 @@ interpolation weights times that table:
 
     log_belief[cells, classes * bins] += S @ D
 
-D (`LikelihoodTable.rows`) has a row for every node of a lattice over range and direction;
-S (`LikelihoodTable.weights`) has for every measurement the 36 weights of a biquintic
-B-spline. The table's coefficients are prefiltered, so the spline passes through the exact
-values, and the lattice is refined until it does so between its nodes as well. The high order
-keeps the lattice coarse: a cubic of the same accuracy needs ten times as many nodes.
+D has a row for every node of a lattice over range and direction; S has for every measurement
+the 36 weights of a biquintic B-spline. The table's coefficients are prefiltered, so the spline
+passes through the exact values, and the lattice is refined until it does so between its nodes
+as well. The high order keeps the lattice coarse: a cubic of the same accuracy needs ten times
+as many nodes.
 
 Rows of neighbouring directions are one curve over the aspect, shifted, so only the curves are
-kept; a row is a window of one.
+kept, and neither S nor D is ever written out: see `mclass.spectra` and `mclass.convolution`.
 """
 
 from __future__ import annotations
@@ -23,11 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
-from scipy.sparse import csr_array
 
 from mclass.observation import Term
-from mclass.records import FloatArray, IntArray
+from mclass.records import FloatArray
 from mclass.splines import half_way_values, spline_coefficients
 
 TOLERANCE = 4e-6
@@ -57,82 +55,21 @@ class LikelihoodTable:
     """D for one term.
 
     Attributes:
+        bins: Orientation bins.
         range_step: Distance between range nodes [m]; the node before the first is at range
             ``-REACH`` steps.
-        curves: Spline coefficients over the aspect, against the sense of the circle and twice
-            around, (range nodes, direction nodes a bin, classes of the term, 2 bins).
+        coefficients: Of the spline over range and the direction of the sensor from an object
+            of orientation 0, (range nodes, direction nodes, classes of the term).
     """
 
+    bins: int
     range_step: float
-    curves: FloatArray
-
-    @property
-    def bins(self) -> int:
-        """Orientation bins."""
-        return int(self.curves.shape[3]) // 2
+    coefficients: FloatArray
 
     @property
     def n_directions(self) -> int:
         """Direction nodes around the circle, a multiple of the bins."""
-        return int(self.curves.shape[1]) * self.bins
-
-    @property
-    def n_nodes(self) -> int:
-        """Nodes of the lattice: rows of D, columns of S."""
-        return int(self.curves.shape[0]) * self.n_directions
-
-    @property
-    def width(self) -> int:
-        """Length of a row of D."""
-        return int(self.curves.shape[2]) * self.bins
-
-    @property
-    def row_cost(self) -> int:
-        """Numbers added up for one measurement."""
-        return 4 * REACH**2 * self.width
-
-    @property
-    def coefficients(self) -> FloatArray:
-        """Spline coefficients of the lattice, (range nodes, direction nodes, k)."""
-        once = self.curves[..., -np.arange(self.bins) % self.bins]
-        return once.transpose(0, 3, 1, 2).reshape(len(once), self.n_directions, -1)
-
-    def rows(self, nodes: IntArray) -> FloatArray:
-        """Rows of D: for each node every class and orientation bin, (len(nodes), k * bins)."""
-        range_node, direction = np.divmod(nodes, self.n_directions)
-        # Direction node q m + p belongs to curve p, read from q bins back.
-        turn, phase = np.divmod(direction, self.curves.shape[1])
-        windows = sliding_window_view(self.curves, self.bins, axis=3)
-        chosen = windows[range_node, phase, :, (self.bins - turn) % self.bins]
-        return chosen.reshape(len(nodes), -1)
-
-    def weights(
-        self, starts: IntArray, ranges: FloatArray, directions: FloatArray, scale: FloatArray | None
-    ) -> csr_array:
-        """S: one row a cell, 36 entries for each of its measurements.
-
-        Args:
-            starts: Row ``i`` owns entries ``starts[i]:starts[i + 1]`` of the next two, (rows + 1,).
-            ranges: Distances of sensor and cell [m], (p,).
-            directions: World directions of the sensor seen from the cell [rad], (p,).
-            scale: Weight of each measurement, (p,), or None for one each.
-
-        Returns:
-            Sparse (rows, nodes).
-        """
-        row, row_weights = quintic_weights(ranges / self.range_step + REACH)
-        column, column_weights = quintic_weights(directions * (self.n_directions / (2.0 * np.pi)))
-        if scale is not None:
-            row_weights = row_weights * scale
-        taps = np.arange(1 - REACH, 1 + REACH, dtype=np.int32)[:, None]
-        columns = np.remainder(column + taps, self.n_directions)
-        rows = (row + taps) * self.n_directions
-        data = (row_weights[:, None] * column_weights[None, :]).reshape(36, -1).T
-        indices = (rows[:, None] + columns[None, :]).reshape(36, -1).T
-        return csr_array(
-            (data.ravel(), indices.ravel(), 36 * starts),
-            shape=(len(starts) - 1, self.n_nodes),
-        )
+        return int(self.coefficients.shape[1])
 
 
 def quintic_weights(coordinates: FloatArray) -> tuple[npt.NDArray[np.int32], FloatArray]:
@@ -184,10 +121,7 @@ def build_table(
         range_step, n_directions = finer_step, finer_count
     coefficients = spline_coefficients(spline_coefficients(samples, 1, mirrored=True), 2)
     kept = coefficients[:, _PADDING - REACH : len(ranges) - _PADDING + REACH]
-    # (k, ranges, turn, phase) to (ranges, phase, k, turn), then around against the circle.
-    turns = kept.reshape(*kept.shape[:2], bins, -1).transpose(1, 3, 0, 2)
-    backwards = turns[..., -np.arange(2 * bins) % bins]
-    return LikelihoodTable(range_step, np.ascontiguousarray(backwards))
+    return LikelihoodTable(bins, range_step, np.ascontiguousarray(kept.transpose(1, 2, 0)))
 
 
 def resolving_bins(terms: Sequence[Term], bins: int, min_range: float, max_range: float) -> int:

@@ -21,7 +21,7 @@ MATHEMATICS = (
     ("camera", "classes"),
     ("footprint", "observation", "model"),
     ("table", "results", "checks"),
-    ("convolution", "correlation", "orientation"),
+    ("convolution", "correlation", "orientation", "spectra"),
     ("evidence",),
     ("belief", "looks", "summary"),
     ("drift", "gridmap", "objects"),
