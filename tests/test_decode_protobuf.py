@@ -180,7 +180,7 @@ def encoded(draw: st.DrawFn) -> tuple[ChannelInfo, list[Any], list[bytes]]:
             fill(draw, message)
             payload += message.SerializeToString()
         payloads.append(payload)
-    payloads *= draw(st.sampled_from((1, 20)))
+    payloads *= draw(st.sampled_from((1, 20, 60)))
     messages = [classes[0].FromString(payload) for payload in payloads]
     return proto_channel(classes[0]), messages, payloads
 
@@ -221,6 +221,113 @@ def test_damaged_messages_read_alike_alone_and_together(
     for path in paths:
         expected = [value for one in alone for value in nested(one.values[path])]
         assert same(nested(together.values[path]), expected)
+
+
+@st.composite
+def alike(draw: st.DrawFn) -> tuple[ChannelInfo, list[Any], list[bytes]]:
+    """Many messages without lists, most of them with the same fields as another one."""
+    root = draw(message_types(2, "Root"))
+    for message in (root, *root.nested_type, *(m for n in root.nested_type for m in n.nested_type)):
+        for field in message.field:
+            field.label = F.LABEL_OPTIONAL
+            field.options.ClearField("packed")
+    make = make_class(root, packed=True)
+    messages: list[Any] = []
+    for _ in range(draw(st.integers(1, 3))):
+        first: Any = make()
+        fill(draw, first)
+        for number in range(draw(st.sampled_from((1, 30, 70)))):
+            messages.append(make())
+            messages[-1].CopyFrom(first)
+            vary(messages[-1], number)
+    messages = draw(st.permutations(messages))
+    payloads = [message.SerializeToString() for message in messages]
+    return proto_channel(make), messages, payloads
+
+
+def vary(message: Any, number: int) -> None:
+    """Change the values that are there; mostly each takes as many bytes as before."""
+    for field, value in message.ListFields():
+        if field.type == F.TYPE_MESSAGE:
+            vary(value, number)
+        elif field.type in (F.TYPE_FLOAT, F.TYPE_DOUBLE):
+            setattr(message, field.name, value * 0.5 + number)
+        elif field.type == F.TYPE_STRING:
+            setattr(message, field.name, value[:-1] + chr(number % 32 + 65))
+        elif field.type == F.TYPE_BYTES:
+            setattr(message, field.name, value[:-1] + bytes([number]))
+        elif field.type not in (F.TYPE_BOOL, F.TYPE_ENUM):
+            setattr(message, field.name, value ^ (number % 8))
+
+
+@SLOW
+@given(alike())
+def test_messages_alike_as_google_reads_them(
+    case: tuple[ChannelInfo, list[Any], list[bytes]],
+) -> None:
+    source, messages, payloads = case
+    decoder = decoder_for(source)
+    columns = decoder.columns(batch(source, payloads), list(decoder.paths))
+    assert columns.failures == {}
+    assert_columns(columns.values, messages, decoder.paths)
+
+
+@SLOW
+@given(alike(), st.data())
+def test_one_message_changed_among_those_alike(
+    case: tuple[ChannelInfo, list[Any], list[bytes]], data: st.DataObject
+) -> None:
+    source, _, payloads = case
+    decoder = decoder_for(source)
+    paths = list(decoder.paths)
+    for _ in range(data.draw(st.integers(1, 4))):
+        row = data.draw(st.integers(0, len(payloads) - 1))
+        content = bytearray(payloads[row])
+        if content:
+            content[data.draw(st.integers(0, len(content) - 1))] ^= data.draw(st.integers(1, 255))
+        payloads[row] = bytes(content)
+    together = decoder.columns(batch(source, payloads), paths)
+    alone = [decoder.columns(batch(source, [content]), paths) for content in payloads]
+    assert together.rows.tolist() == [row for row, one in enumerate(alone) if len(one.rows)]
+    for path in paths:
+        expected = [value for one in alone for value in nested(one.values[path])]
+        assert same(nested(together.values[path]), expected)
+
+
+def test_skeletons_of_every_kind_of_field() -> None:
+    file = FileDescriptorProto(name="hand.proto", package="hand", syntax="proto2")
+    root, inner = file.message_type.add(name="Root"), file.message_type.add(name="Inner")
+    root.field.append(one(F.TYPE_MESSAGE, 1, type_name=".hand.Inner"))
+    root.field.append(one(F.TYPE_STRING, 2, default_value="none"))
+    root.field.append(one(F.TYPE_SINT64, 3, default_value="-7"))
+    root.field.append(one(F.TYPE_MESSAGE, 4, type_name=STAMP))
+    root.field.append(one(F.TYPE_UINT32, 5))
+    inner.field.append(one(F.TYPE_FLOAT, 1))
+    inner.field.append(one(F.TYPE_FIXED64, 2))
+    files = FileDescriptorSet(file=[file])
+    source = channel("protobuf", "hand.Root", files.SerializeToString(), "protobuf")
+    decoder = decoder_for(source)
+    # The inner message in two parts, the first one's float superseded; a string; a varint of
+    # ten bytes (sint64: the least there is); 3 s and -1 ns; field 5 as a string, so unknown.
+    full = (
+        b"\x0a\x0e\x0d\x00\x00\x80\x3f\x11\xfe\xff\xff\xff\xff\xff\xff\xff"
+        b"\x0a\x05\x0d\x00\x00\x20\xc0"
+        b"\x12\x02%b\x18" + b"\xff" * 9 + b"\x01"
+        b"\x22\x0d\x08\x03\x10" + b"\xff" * 9 + b"\x01\x2a\x01x"
+    )
+    short = b"\x18\x05"
+    payloads = [full % (b"a" + bytes([65 + row % 3])) for row in range(40)] + [short] * 30
+    payloads += [b"", b"\x12\x00\x28\x96\x01"]
+    columns = decoder.columns(batch(source, payloads), list(decoder.paths))
+    names = ("f1.f1", "f1.f2", "f2", "f3", "f4", "f5")
+    rows = list(zip(*(columns.values[name].values.tolist() for name in names), strict=True))
+    least, stamp = -(2**63), 3 * 10**9 - 1
+    assert rows[:40] == [
+        (-2.5, 2**64 - 2, f"a{'ABC'[row % 3]}", least, stamp, 0) for row in range(40)
+    ]
+    assert rows[40:70] == [(0.0, 0, "none", -3, 0, 0)] * 30
+    assert rows[70:] == [(0.0, 0, "none", -7, 0, 0), (0.0, 0, "", -7, 0, 150)]
+    assert all(column.values.base is None for column in columns.values.values())
 
 
 def test_foxglove_messages() -> None:

@@ -7,8 +7,8 @@ that hold messages are the spans of the next level.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,16 @@ import numpy.typing as npt
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto
 
 from mclass.logs.decode.base import ChannelDecoder, Column, demand
-from mclass.logs.decode.protobuf_schema import FIXED_TYPES, Branch, Leaf, Node, read_schema
+from mclass.logs.decode.protobuf_schema import (
+    FIXED_TYPES,
+    NANOS,
+    SECONDS,
+    STAMP,
+    Branch,
+    Leaf,
+    Node,
+    read_schema,
+)
 from mclass.logs.decode.ragged import (
     ByteArray,
     offsets_from,
@@ -27,11 +36,11 @@ from mclass.logs.decode.ragged import (
     read_words,
     spread,
 )
+from mclass.logs.decode.skeleton import Alike, Place, find_alike
 from mclass.logs.decode.wireformat import (
     BLOB,
+    NO_RECORDS,
     VARINT,
-    WORD32,
-    WORD64,
     Cut,
     Records,
     Spans,
@@ -47,13 +56,6 @@ BAD_STAMP = "a stamp is out of range"
 BAD_PACKING = "packed numbers do not fill their field"
 
 _Type = FieldDescriptorProto
-_SECONDS, _NANOS = 1, 2
-_STAMP = Node(
-    {
-        _SECONDS: Leaf("seconds", "int", _Type.TYPE_INT64, repeated=False, default=0),
-        _NANOS: Leaf("nanos", "int", _Type.TYPE_INT32, repeated=False, default=0),
-    }
-)
 # Beyond this many seconds, nanoseconds do not fit into 64 bits.
 _MAX_SECONDS = 9_223_372_035
 
@@ -98,6 +100,11 @@ class _Rows:
     message: IntArray
     levels: tuple[IntArray, ...]
 
+    def take(self, index: IntArray) -> _Rows:
+        """Rows of their own for some of the spans."""
+        spans = self.spans.take(index)
+        return _Rows(spans, np.arange(len(index)), spans.message, ())
+
     def fill(self, found: Records, values: npt.NDArray[Any], default: Any) -> Column:
         """Column of a single field from its records' values; the last in a row holds."""
         filled = np.full(len(self.message), default, dtype=values.dtype)
@@ -128,28 +135,88 @@ class _Walk:
 
     def read_node(self, node: Node, rows: _Rows) -> None:
         """Read what is wanted of all messages of one level."""
+        if node.has_lists or not (np.diff(rows.row) > 0).all():
+            self.read_records(node, rows)
+            return
+        alike, rest = find_alike(self.buffer, rows.spans, node)
+        if not alike:
+            self.read_records(node, rows)
+            return
+        found = [(rows.row[group.index], group) for group in alike]
+        for leaf in node.leaves:
+            self.columns[leaf.path] = self.single(leaf, found, rows)
+        if len(rest):
+            walk = _Walk(self.buffer)
+            walk.read_records(node, rows.take(rest))
+            for path, column in walk.columns.items():
+                self.columns[path].values[rows.row[rest]] = column.values
+
+    def read_records(self, node: Node, rows: _Rows) -> None:
+        """Read messages of any skeletons, one record of all after another."""
         cut = cut_records(self.buffer, rows.spans, node.fields.keys())
         for number, item in node.fields.items():
             # As in protobuf itself: what has another wire type than the schema's is unknown.
             if isinstance(item, Branch):
                 inner = rows.inner(cut.of(number, BLOB), repeated=item.repeated)
                 self.read_node(item.node, inner)
-            elif item.type == _Type.TYPE_MESSAGE:
+            elif item.is_stamp:
                 inner = rows.inner(cut.of(number, BLOB), repeated=item.repeated)
-                self.columns[item.path] = self.stamps(inner)
-            elif item.kind in ("string", "bytes"):
-                found = cut.of(number, BLOB)
-                values = self.texts(item, found)
+                walk = _Walk(self.buffer)
+                walk.read_node(STAMP, inner)
+                seconds, nanos = (walk.columns[part] for part in (SECONDS, NANOS))
+                self.columns[item.path] = _stamps(seconds, nanos, inner)
+            elif item.repeated and item.wire != BLOB:
+                self.columns[item.path] = self.number_lists(item, cut, number, rows)
+            else:
+                found = cut.of(number, item.wire)
+                values = self.values(item, found)
                 self.columns[item.path] = (
                     rows.list(found, values, None)
                     if item.repeated
                     else rows.fill(found, values, item.default)
                 )
-            elif item.repeated:
-                self.columns[item.path] = self.number_lists(item, cut, number, rows)
-            else:
-                found = cut.of(number, _wire_type(item))
-                self.columns[item.path] = rows.fill(found, self.numbers(item, found), item.default)
+
+    def single(self, leaf: Leaf, found: Sequence[tuple[IntArray, Alike]], rows: _Rows) -> Column:
+        """Column of a leaf in rows that lie alike."""
+        if leaf.is_stamp:
+            seconds, nanos = (
+                self.single(replace(part, path=f"{leaf.path}.{part.path}"), found, rows)
+                for part in STAMP.leaves
+            )
+            return _stamps(seconds, nanos, rows)
+        parts = [(row, group, group.places.get(leaf.path)) for row, group in found]
+        there = [(row, group, place) for row, group, place in parts if place is not None]
+        if leaf.wire == BLOB and there:
+            return Column(self.alike_texts(leaf, there, len(rows.message)), rows.levels)
+        values = [_alike_numbers(leaf, group, place) for _, group, place in there]
+        if values and len(values[0]) == len(rows.message):
+            return Column(values[0], rows.levels)
+        kind = values[0].dtype if values else self.values(leaf, NO_RECORDS).dtype
+        filled = np.full(len(rows.message), leaf.default, kind)
+        for (row, _, _), part in zip(there, values, strict=True):
+            filled[row] = part
+        return Column(filled, rows.levels)
+
+    def alike_texts(
+        self, leaf: Leaf, there: Sequence[tuple[IntArray, Alike, Place]], count: int
+    ) -> npt.NDArray[np.object_]:
+        """Strings or bytes in rows that lie alike, the default in all others, (count,)."""
+        _, group, place = there[0]
+        at = np.full(count, group.at[0] + place.at)
+        sizes = np.full(count, place.size)
+        for row, group, place in there:
+            at[row], sizes[row] = group.at + place.at, place.size
+        texts = self.texts(leaf, Records(at, at, sizes))
+        if sum(len(row) for row, _, _ in there) < count:
+            missing = np.ones(count, dtype=np.bool_)
+            for row, _, _ in there:
+                missing[row] = False
+            texts[missing] = leaf.default
+        return texts
+
+    def values(self, leaf: Leaf, found: Records) -> npt.NDArray[Any]:
+        """The value in each record."""
+        return self.numbers(leaf, found) if leaf.wire != BLOB else self.texts(leaf, found)
 
     def texts(self, leaf: Leaf, found: Records) -> npt.NDArray[np.object_]:
         """The string or bytes in each record."""
@@ -164,16 +231,12 @@ class _Walk:
         dtype = FIXED_TYPES.get(leaf.type)
         if dtype is None:
             return _from_varints(found.value, leaf.type)
-        values = read_words(self.buffer, found.at, dtype)
-        if leaf.repeated or dtype == np.uint64:
-            return values
-        # A signalling NaN is worth no warning; it becomes a plain one.
-        with np.errstate(invalid="ignore"):
-            return values.astype(np.float64 if dtype.kind == "f" else np.int64)
+        words = read_words(self.buffer, found.at, dtype)
+        return words if leaf.repeated else _from_words(words)
 
     def number_lists(self, leaf: Leaf, cut: Cut, number: int, rows: _Rows) -> Column:
         """Numbers of a repeated field, which are packed or have a record each."""
-        single, packed = cut.of(number, _wire_type(leaf)), cut.of(number, BLOB)
+        single, packed = cut.of(number, leaf.wire), cut.of(number, BLOB)
         values = self.numbers(leaf, single)
         if not len(packed.at):
             return rows.list(single, values, None)
@@ -199,20 +262,27 @@ class _Walk:
         joined[spread(starts, sizes)] = np.concatenate([values, unpacked])
         return rows.list(Records(span, at, sizes), joined, sizes)
 
-    def stamps(self, rows: _Rows) -> Column:
-        """Nanoseconds of Timestamp or Duration messages."""
-        walk = _Walk(self.buffer)
-        walk.read_node(_STAMP, rows)
-        seconds = walk.columns["seconds"].values
-        in_range = (seconds >= -_MAX_SECONDS) & (seconds <= _MAX_SECONDS)
-        demand(in_range, rows.message, BAD_STAMP)
-        return Column(seconds * 1_000_000_000 + walk.columns["nanos"].values, rows.levels)
+
+def _alike_numbers(leaf: Leaf, group: Alike, place: Place) -> npt.NDArray[Any]:
+    """The number in each message, (n,)."""
+    if place.wire == VARINT:
+        return _from_varints(group.varints(place), leaf.type)
+    return _from_words(group.words(place, FIXED_TYPES[leaf.type]))
 
 
-def _wire_type(leaf: Leaf) -> int:
-    """Wire type of a number that is not packed."""
-    dtype = FIXED_TYPES.get(leaf.type)
-    return VARINT if dtype is None else WORD64 if dtype.itemsize == 8 else WORD32
+def _from_words(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Numbers of fixed size as columns have them, (n,)."""
+    wide = np.float64 if values.dtype.kind == "f" else np.int64
+    # A signalling NaN is worth no warning; it becomes a plain one.
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.uint64 if values.dtype == np.uint64 else wide)
+
+
+def _stamps(seconds: Column, nanos: Column, rows: _Rows) -> Column:
+    """Nanoseconds of Timestamp or Duration messages."""
+    in_range = (seconds.values >= -_MAX_SECONDS) & (seconds.values <= _MAX_SECONDS)
+    demand(in_range, rows.message, BAD_STAMP)
+    return Column(seconds.values * 1_000_000_000 + nanos.values, rows.levels)
 
 
 def _from_varints(bits: IntArray, field_type: int) -> npt.NDArray[Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from google.protobuf.text_encoding import CUnescape
 
 from mclass.errors import LogError
 from mclass.logs.decode.base import MAX_LEAVES
+from mclass.logs.decode.wireformat import BLOB, VARINT, WORD32, WORD64
 
 MAX_NESTING = 64
 
@@ -76,6 +78,19 @@ class Leaf:
     repeated: bool
     default: Any
 
+    @property
+    def is_stamp(self) -> bool:
+        """Whether it is a message on the wire, with the fields of `STAMP`."""
+        return self.type == _Type.TYPE_MESSAGE
+
+    @property
+    def wire(self) -> int:
+        """Wire type of one value that is not packed."""
+        if self.is_stamp or self.kind in ("string", "bytes"):
+            return BLOB
+        dtype = FIXED_TYPES.get(self.type)
+        return VARINT if dtype is None else WORD64 if dtype.itemsize == 8 else WORD32
+
 
 @dataclass(frozen=True)
 class Branch:
@@ -91,6 +106,23 @@ class Node:
 
     fields: Mapping[int, Leaf | Branch]
 
+    @cached_property
+    def leaves(self) -> tuple[Leaf, ...]:
+        """All leaves, of the messages within as well."""
+        return tuple(
+            leaf
+            for item in self.fields.values()
+            for leaf in (item.node.leaves if isinstance(item, Branch) else (item,))
+        )
+
+    @cached_property
+    def has_lists(self) -> bool:
+        """Whether anything within is repeated."""
+        return any(
+            item.repeated or (isinstance(item, Branch) and item.node.has_lists)
+            for item in self.fields.values()
+        )
+
     def select(self, wanted: frozenset[str]) -> Node:
         """The same tree with these leaves only."""
         fields: dict[int, Leaf | Branch] = {}
@@ -102,6 +134,17 @@ class Node:
             elif item.path in wanted:
                 fields[number] = item
         return Node(fields)
+
+
+SECONDS, NANOS = "seconds", "nanos"
+
+STAMP = Node(
+    {
+        1: Leaf(SECONDS, "int", _Type.TYPE_INT64, repeated=False, default=0),
+        2: Leaf(NANOS, "int", _Type.TYPE_INT32, repeated=False, default=0),
+    }
+)
+"""The fields of a stamp."""
 
 
 def read_schema(name: str, data: bytes) -> tuple[Node, dict[str, str]]:

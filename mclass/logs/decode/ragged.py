@@ -83,15 +83,16 @@ def read_bytes(buffer: ByteArray, starts: IntArray, lengths: IntArray) -> list[b
 
 def read_texts(buffer: ByteArray, starts: IntArray, lengths: IntArray) -> npt.NDArray[np.object_]:
     """UTF-8 strings, damaged characters replaced; equal strings are one object."""
-    texts = np.full(len(starts), "", dtype=object)
+    texts = np.empty(len(starts), dtype=object)
     if not lengths.any():
+        texts.fill("")
         return texts
     width = int(lengths[0])
     if (lengths == width).all():
-        # Frame names and the like: one string throughout.
-        matrix = read_words(buffer, starts, np.dtype(np.uint8), width).reshape(len(starts), width)
-        if (matrix == matrix[0]).all():
-            texts.fill(matrix[0].tobytes().decode("utf-8", "replace"))
+        # Frame names and the like: one string throughout, so each is as the one before it.
+        joined = read_words(buffer, starts, np.dtype(f"V{width}")).view(np.uint8)
+        if (joined[width:] == joined[:-width]).all():
+            texts.fill(joined[:width].tobytes().decode("utf-8", "replace"))
             return texts
     known: dict[bytes, str] = {}
     strings = read_bytes(buffer, starts, lengths)

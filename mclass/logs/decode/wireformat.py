@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mclass.logs.decode.base import NARROW, CutError, DamagedError, demand
-from mclass.logs.decode.ragged import ByteArray, offsets_from, read_rows
+from mclass.logs.decode.ragged import ByteArray, offsets_from, read_rows, read_words
 from mclass.records import IntArray
 
 CUT_SHORT = "a field reaches beyond its message"
@@ -26,6 +26,17 @@ _WIRES = {VARINT: 0, WORD64: 8, BLOB: 0, WORD32: 4}
 _NONE = np.empty(0, dtype=np.int64)
 _MAX_NUMBER = (1 << 29) - 1
 _MAX_VARINT = 10
+_ONE = np.uint64(1)
+_GO_ON = np.uint64(0x8080_8080_8080_8080)
+# Pairs of bytes, of pairs, of fours: what stays, what moves down to it, by how many bits.
+_JOINS = tuple(
+    (np.uint64(low), np.uint64(low << width), np.uint64(shift))
+    for low, width, shift in (
+        (0x007F_007F_007F_007F, 8, 1),
+        (0x0000_3FFF_0000_3FFF, 16, 2),
+        (0x0000_0000_0FFF_FFFF, 32, 4),
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -66,6 +77,9 @@ class Records:
         return Records(self.span[index], self.at[index], self.value[index])
 
 
+NO_RECORDS = Records(_NONE, _NONE, _NONE)
+
+
 @dataclass(frozen=True)
 class Cut:
     """The records of spans; ``parts`` holds those of each field number and wire type."""
@@ -94,21 +108,50 @@ def read_varints(buffer: ByteArray, spans: Spans) -> tuple[IntArray, IntArray]:
         DamagedError: If one reaches beyond its span, or beyond ten bytes.
     """
     first = buffer[spans.at]
-    sizes = np.ones(len(first), dtype=np.int64)
+    values, sizes = first.astype(np.int64), np.ones(len(first), dtype=np.int64)
     more = np.flatnonzero(first >= 0x80)
     if not len(more):
-        return first.astype(np.int64), sizes
-    values = (first & 0x7F).astype(np.uint64)
-    for count in range(1, _MAX_VARINT):
+        return values, sizes
+    bits = values.view(np.uint64)
+    at, end = spans.at[more], spans.end[more]
+    words = _words(buffer, at)
+    # The upper bit of the first byte that does not go on; 0 when all eight do.
+    last = ~words & _GO_ON
+    last &= ~last + _ONE
+    bits[more] = join_sevens(words & (last - _ONE))
+    size = np.frexp(last.astype(np.float64))[1] >> 3
+    demand(at + size <= end, spans.message[more], BAD_VARINT)
+    sizes[more] = size
+    more = more[last == 0]
+    for count in range(8, _MAX_VARINT):
+        if not len(more):
+            break
         position = spans.at[more] + count
         demand(position < spans.end[more], spans.message[more], BAD_VARINT)
         byte = buffer[position]
-        values[more] |= (byte & 0x7F).astype(np.uint64) << np.uint64(7 * count)
-        sizes[more] += 1
+        bits[more] |= (byte & 0x7F).astype(np.uint64) << np.uint64(7 * count)
+        sizes[more] = count + 1
         more = more[byte >= 0x80]
-        if not len(more):
-            return values.view(np.int64), sizes
-    raise DamagedError([(BAD_VARINT, spans.message[more])])
+    if len(more):
+        raise DamagedError([(BAD_VARINT, spans.message[more])])
+    return values, sizes
+
+
+def _words(buffer: ByteArray, at: IntArray) -> npt.NDArray[np.uint64]:
+    """Eight bytes from each place as one number, (n,); zeros beyond the buffer's end."""
+    if len(buffer) < 8:
+        buffer = np.pad(buffer, (0, 8 - len(buffer)))
+    inside = np.minimum(at, len(buffer) - 8)
+    words: npt.NDArray[np.uint64] = read_words(buffer, inside, np.dtype("<u8"))
+    beyond = at - inside
+    return words >> (8 * beyond).astype(np.uint64) if beyond.any() else words
+
+
+def join_sevens(words: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    """The lower seven bits of each of eight bytes as one number, the first byte lowest."""
+    for low, high, shift in _JOINS:
+        words = (words & low) | ((words & high) >> shift)
+    return words
 
 
 def cut_records(buffer: ByteArray, spans: Spans, wanted: Set[int]) -> Cut:
@@ -135,7 +178,7 @@ def cut_records(buffer: ByteArray, spans: Spans, wanted: Set[int]) -> Cut:
     rows: dict[tuple[int, int], list[tuple[int, int, int]]] = defaultdict(list)
     for span, at, end in zip(index.tolist(), rest.at.tolist(), rest.end.tolist(), strict=True):
         try:
-            for number, wire, start, value in _cut_span(buffer.data, at, end):
+            for number, wire, start, value, _ in cut_span(buffer.data, at, end):
                 if number in wanted:
                     rows[number, wire].append((span, start, value))
         except CutError as error:  # noqa: PERF203
@@ -197,8 +240,12 @@ def _read_payloads(
     return at, values, at + values
 
 
-def _cut_span(buffer: memoryview, at: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-    """Number, wire type, payload's place and value of the records of one span."""
+def cut_span(buffer: memoryview, at: int, end: int) -> Iterator[tuple[int, int, int, int, int]]:
+    """Number, wire type, payload's place, value and end of the records of one span.
+
+    Raises:
+        CutError: If the span is not made of records.
+    """
     while at < end:
         head, at = _varint(buffer, at, end)
         wire, number = head & 7, head >> 3
@@ -215,7 +262,7 @@ def _cut_span(buffer: memoryview, at: int, end: int) -> Iterator[tuple[int, int,
             at += _WIRES[wire]
         if at > end:
             raise CutError(CUT_SHORT)
-        yield number, wire, start, value - (value >> 63 << 64)
+        yield number, wire, start, value - (value >> 63 << 64), at
 
 
 def _varint(buffer: memoryview, at: int, end: int) -> tuple[int, int]:
