@@ -14,105 +14,129 @@ undoes the widening by both, so that where the nodes lie does not show.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array
 
-from mclass.records import FloatArray, IntArray
+from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.table import REACH, quintic_weights
 
 _NODES_PER_WIDTH = 2.0
 _TAPS = 2 * REACH
 _FREQUENCIES = 1024
 _LOOKS_AT_ONCE = 2**12
+"""Looks of which all that is known of their nodes fits the cache."""
+
+_CELLS_AT_ONCE = 64
+_RANGES_TOGETHER = 8
+"""Lattices reach over a multiple of so many nodes, so that few kernels do for all."""
 
 
-@dataclass
-class LookLattice:
-    """Counts looks at cells around each viewpoint: deposit all of them, then read.
+def shared_votes(
+    looked: BoolArray,
+    ranges: FloatArray,
+    directions: FloatArray,
+    range_width: float,
+    direction_width: float,
+) -> FloatArray:
+    """Weight of every look at every cell, at most 1; 0 where a cell was not looked at, (m, k).
 
-    Attributes:
-        cells: Number of cells.
-        reach: Greatest range of any look [m].
+    Args:
+        looked: Which looks were at which cells, (m, k).
+        ranges: Of sensors from cells [m], (m, k).
+        directions: Of sensors seen from cells [rad], (m, k).
         range_width: l_r [m].
         direction_width: l_d [rad].
     """
+    weights = np.zeros(looked.shape)
+    step = int(np.clip(_LOOKS_AT_ONCE // max(1, looked.shape[1]), 1, _CELLS_AT_ONCE))
+    for start in range(0, len(looked), step):
+        part = slice(start, start + step)
+        mask = looked[part]
+        cell, _ = np.nonzero(mask)
+        if len(cell):
+            weights[part][mask] = _weights(
+                cell,
+                ranges[part][mask] * (_NODES_PER_WIDTH / range_width),
+                directions[part][mask],
+                direction_width,
+            )
+    return weights
+
+
+def _weights(
+    cells: IntArray, ranges: FloatArray, directions: FloatArray, direction_width: float
+) -> FloatArray:
+    """Weights of looks at a few cells, their ranges in nodes, (p,)."""
+    nearest = np.floor(ranges.min())
+    n_ranges = int(ranges.max() - nearest) + _TAPS
+    lattice = _Lattice(
+        cells=int(cells[-1]) + 1,
+        n_ranges=-(-n_ranges // _RANGES_TOGETHER) * _RANGES_TOGETHER,
+        # Whole nodes to a quarter turn: worlds are often turned by that.
+        n_directions=4 * max(_TAPS, int(np.ceil(np.pi / 2.0 * _NODES_PER_WIDTH / direction_width))),
+    )
+    parts = [slice(i, i + _LOOKS_AT_ONCE) for i in range(0, len(cells), _LOOKS_AT_ONCE)]
+
+    def spreads() -> Iterator[coo_array]:
+        for part in parts:
+            yield lattice.spread(cells[part], ranges[part] - nearest, directions[part])
+
+    # Where there is but one it need not be made again.
+    once = list(spreads()) if len(parts) == 1 else None
+    counts = np.zeros(lattice.size)
+    for spread in once or spreads():
+        counts += spread.T @ np.ones(spread.shape[0])
+    smooth = lattice.smoothed(counts, direction_width)
+    read = np.concatenate([np.atleast_1d(spread @ smooth) for spread in once or spreads()])
+    # Each counts itself, rounding apart.
+    return np.asarray(1.0 / np.maximum(read, 1.0))
+
+
+@dataclass(frozen=True)
+class _Lattice:
+    """Nodes over range and direction, for each of some cells."""
 
     cells: int
-    reach: float
-    range_width: float
-    direction_width: float
-    _counts: FloatArray = field(init=False)
-    _smooth: bool = False
+    n_ranges: int
+    n_directions: int
 
-    def __post_init__(self) -> None:
-        self._range_step = self.range_width / _NODES_PER_WIDTH
-        shape = lattice_shape(self.reach, self.range_width, self.direction_width)
-        self._direction_step = 2.0 * np.pi / shape[1]
-        self._counts = np.zeros((self.cells, *shape))
+    @property
+    def size(self) -> int:
+        """Nodes in all."""
+        return self.cells * self.n_ranges * self.n_directions
 
-    def deposit(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> None:
-        """Add looks: number of the cell, range [m] and direction [rad] of each, (p,)."""
-        assert not self._smooth, "all are deposited before any is read"
-        counts = self._counts.ravel()
-        for part in _parts(len(cells)):
-            spread = self._spread(cells[part], ranges[part], directions[part])
-            np.add.at(counts, spread.indices, spread.data)
+    def spread(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> coo_array:
+        """How much of each look is in each node, (p, nodes); ranges in nodes."""
+        row, row_shares = quintic_weights(ranges)
+        column, column_shares = quintic_weights(directions * (self.n_directions / (2.0 * np.pi)))
+        taps = np.arange(_TAPS)[:, None]
+        rows = (taps + (cells * self.n_ranges + row)) * self.n_directions
+        columns = np.remainder(taps + column, self.n_directions)
+        # Node by node around each look, not look by look: numbers side by side are alike.
+        shares = row_shares[:, None] * column_shares
+        nodes = rows.astype(np.int32)[:, None] + columns.astype(np.int32)
+        looks = np.broadcast_to(np.arange(len(cells), dtype=np.int32), nodes.shape)
+        places = looks.ravel(), nodes.ravel()
+        return coo_array((shares.ravel(), places), shape=(len(cells), self.size))
 
-    def weights(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> FloatArray:
-        """Weight of looks that were deposited, at most 1, (p,)."""
-        if not self._smooth:
-            self._smoothen()
-        smooth, weights = self._counts.ravel(), np.empty(len(cells))
-        for part in _parts(len(cells)):
-            counts = self._spread(cells[part], ranges[part], directions[part]) @ smooth
-            # Each counts itself, rounding apart.
-            weights[part] = 1.0 / np.maximum(counts, 1.0)
-        return weights
-
-    def _spread(self, cells: IntArray, ranges: FloatArray, directions: FloatArray) -> csr_array:
-        """How much of each look is in each lattice node, (p, nodes)."""
-        _, n_ranges, n_directions = self._counts.shape
-        row, row_shares = quintic_weights(ranges / self._range_step)
-        column, column_shares = quintic_weights(directions / self._direction_step)
-        taps = np.arange(_TAPS)
-        kind = np.int32 if self._counts.size < 2**31 else np.int64
-        rows = (((cells * n_ranges + row)[:, None] + taps) * n_directions).astype(kind)
-        columns = np.remainder(column[:, None] + taps, n_directions).astype(kind)
-        nodes = rows[:, :, None] + columns[:, None, :]
-        shares = row_shares.T[:, :, None] * column_shares.T[:, None, :]
-        starts = np.arange(0, _TAPS**2 * len(cells) + 1, _TAPS**2, dtype=kind)
-        shape = (len(cells), self._counts.size)
-        return csr_array((shares.ravel(), nodes.ravel(), starts), shape=shape)
-
-    def _smoothen(self) -> None:
-        """Convolve the counts with the kernel, in place: they are most of the memory in use."""
-        _, n_ranges, n_directions = self._counts.shape
-        row = np.abs(np.subtract.outer(np.arange(n_ranges), np.arange(n_ranges)))
-        around = np.abs(np.subtract.outer(np.arange(n_directions), np.arange(n_directions)))
-        around = np.minimum(around, n_directions - around)
-        rows = _kernel(n_ranges, self.range_width / self._range_step)[row]
-        columns = _kernel(n_directions, self.direction_width / self._direction_step)[around]
-        for counts in self._counts:
-            counts[:] = (rows @ counts) @ columns
-        self._smooth = True
+    def smoothed(self, counts: FloatArray, direction_width: float) -> FloatArray:
+        """Counts convolved with the kernel, (nodes,)."""
+        around = np.arange(self.n_directions)
+        width = direction_width * self.n_directions / (2.0 * np.pi)
+        columns = _kernel(self.n_directions, width)[np.minimum(around, self.n_directions - around)][
+            np.abs(np.subtract.outer(around, around))
+        ]
+        along = np.arange(self.n_ranges)
+        rows = _kernel(self.n_ranges, _NODES_PER_WIDTH)[np.abs(np.subtract.outer(along, along))]
+        mixed = counts.reshape(-1, self.n_directions) @ columns
+        mixed = mixed.reshape(self.cells, self.n_ranges, self.n_directions)
+        return np.asarray(np.matmul(rows, mixed).ravel())
 
 
-def lattice_shape(reach: float, range_width: float, direction_width: float) -> tuple[int, int]:
-    """Nodes over range and direction of each cell's lattice; arguments as of `LookLattice`."""
-    n_ranges = int(np.ceil(reach * _NODES_PER_WIDTH / range_width)) + _TAPS
-    # Whole nodes to a quarter turn: worlds are often turned by that.
-    quarter = int(np.ceil(np.pi / 2.0 * _NODES_PER_WIDTH / direction_width))
-    return n_ranges, 4 * max(_TAPS, quarter)
-
-
-def _parts(count: int) -> Iterator[slice]:
-    """Looks of which all that is known of their nodes fits the cache."""
-    for start in range(0, count, _LOOKS_AT_ONCE):
-        yield slice(start, start + _LOOKS_AT_ONCE)
-
-
+@lru_cache(maxsize=32)
 def _kernel(count: int, width: float) -> FloatArray:
     """What a Gaussian must be between nodes for spreading and reading to give it back.
 

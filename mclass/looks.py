@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mclass.correlation import LookLattice
+from mclass.correlation import shared_votes
 from mclass.evidence import Pairs
 from mclass.footprint import Pointing, Sight, sight
 from mclass.geometry import wrap_angle
@@ -103,14 +103,9 @@ def _any_by_column(mask: BoolArray, columns: IntArray, count: int) -> BoolArray:
 
 def _weights(settings: InferenceSettings, seen: Sight, looked: BoolArray) -> FloatArray:
     """Weight of every frame at every cell, 0 where the cell was not looked at, (m, k)."""
-    weights = looked.astype(float)
-    if settings.correlation is not None and looked.any():
-        cells, _ = np.nonzero(looked)
-        ranges, directions = seen.ranges[looked], seen.directions[looked]
-        lattice = LookLattice(len(looked), float(ranges.max()), *settings.correlation)
-        lattice.deposit(cells, ranges, directions)
-        weights[looked] = lattice.weights(cells, ranges, directions)
-    return weights
+    if settings.correlation is None:
+        return looked.astype(float)
+    return shared_votes(looked, seen.ranges, seen.directions, *settings.correlation)
 
 
 def joined_pairs(
@@ -163,11 +158,6 @@ class ObjectLooks:
         """Number of detections of the object."""
         return int(self.steps[-1]) + 1
 
-    def within(self, first: int, last: int) -> slice:
-        """Positions in ``rows`` of steps ``first`` to ``last - 1``."""
-        start, stop = np.searchsorted(self.steps, [first, last])
-        return slice(int(start), int(stop))
-
     def near(self, centers: FloatArray) -> ObjectLooks:
         """Without frames from which none of the cells could be seen; (m, 2) centres [m]."""
         pointing = self.looks.pointing.select(self.rows)
@@ -181,11 +171,6 @@ class ObjectLooks:
             silent=self.silent[kept],
             shares=self.shares[kept],
         )
-
-    def stop_after(self, start: int, most_rows: int) -> int:
-        """The step before which, from another on, there are so many rows; at least one step."""
-        last = int(np.searchsorted(self.steps, start)) + most_rows
-        return max(start + 1, int(self.steps[last]) if last < len(self.steps) else self.n_steps)
 
     def concern(self, centers: FloatArray, cell_size: float, part: slice) -> Concern:
         """How some of the looks concern some cells.

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mclass.correlation import lattice_shape
 from mclass.errors import ModelError
 from mclass.footprint import TILE_CELLS, tiles
 from mclass.inference import Problem
@@ -22,8 +20,8 @@ _BASE = 200 * 2**20
 _COPIES = 3
 """Of a map while it is packed."""
 
-_OBJECT_COPIES = 8
-"""Of an object's belief: before and after some steps, and after each of them."""
+_OBJECT_COPIES = 4
+"""Of an object's belief: before a step, what it adds, and after it, whole and in part."""
 
 _GROUPS = (Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/memory"))
 _LIMITS = (
@@ -111,17 +109,8 @@ def memory_needed(
     at_work = TILE_CELLS * belief * 2 * (n_cuts + 1) * 2 * threads
     if candidates is None:
         candidates = int(min(touched, _by_object(problem, areas)))
-    followed = candidates * (belief * _OBJECT_COPIES + _lattice(problem))
+    followed = candidates * belief * _OBJECT_COPIES
     return Need(cells, touched, _BASE + maps + probabilities + at_work + followed)
-
-
-def _lattice(problem: Problem) -> int:
-    """Bytes for each cell to count the looks at it."""
-    widths = problem.looks.settings.correlation
-    if widths is None:
-        return 0
-    # Cells that one of an object's detections points at may be as far again from another.
-    return 8 * math.prod(lattice_shape(2.0 * problem.looks.pointing.max_range, *widths))
 
 
 def _cells_pointed_at(problem: Problem) -> FloatArray:

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from mclass.belief import log_orientation_density
-from mclass.correlation import LookLattice
+from mclass.correlation import shared_votes
 from mclass.evidence import Engine, Evidence, Pairs
 from mclass.footprint import Grid, Pointing, sight, tiles
 from mclass.logarithms import logsumexp
@@ -24,14 +25,15 @@ from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.results import BeliefBlock, ObjectEstimate
 from mclass.summary import NEGLIGIBLE, Readout
 
-_SHORTEST_BLOCK = 4
-_LONGEST_BLOCK = 64
 _STEPS_AT_ONCE = 64
-_SIGHTS_AT_ONCE = 2**19
+_SIGHTS_AT_ONCE = 2**18
 """Cells times looks; a dozen numbers are known of each."""
 
-_NUMBERS_AT_ONCE = 2**21
-"""Of the beliefs after each step of a block, unless it would be too short to be fast."""
+_WEIGHTS_AT_ONCE = 2**21
+"""Cells times looks whose weights are remembered: what lies beyond takes another count."""
+
+_NUMBERS_AT_ONCE = 2**20
+"""Of the beliefs after each step of a block, unless one step has more."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,10 @@ class Candidates:
     grid: Grid
     cells: IntArray
     known: bool
+
+    def select(self, rows: IntArray) -> Candidates:
+        """Only some of the cells."""
+        return replace(self, cells=self.cells[rows])
 
     @property
     def centers(self) -> FloatArray:
@@ -65,8 +71,9 @@ def pointed_cells(grid: Grid, pointing: Pointing, rows: IntArray) -> Candidates 
     pointing = pointing.select(rows)
     touched = []
     for tile in tiles(grid, pointing):
-        seen = sight(grid.centers(tile.cells), grid.cell_size, pointing.select(tile.rows))
-        touched.append(tile.cells[seen.inside.any(axis=1)])
+        for part in tile.parts(_SIGHTS_AT_ONCE):
+            seen = sight(grid.centers(part.cells), grid.cell_size, pointing.select(part.rows))
+            touched.append(part.cells[seen.inside.any(axis=1)])
     cells = np.sort(np.concatenate(touched)) if touched else np.zeros(0, dtype=np.int64)
     return Candidates(grid, cells, known=False) if len(cells) else None
 
@@ -85,65 +92,51 @@ class ObjectFilter:
         self, engine: Engine, looks: ObjectLooks, candidates: Candidates, log_priors: FloatArray
     ) -> None:
         self.engine = engine
-        self.looks = looks.near(candidates.centers)
-        self.candidates = candidates
         self.log_priors = log_priors
-        count = len(candidates.cells)
-        shape = (count, engine.n_classes, engine.bins)
-        self._total = Evidence(np.zeros(shape), np.zeros(count), np.zeros(count, dtype=np.int64))
-        self._hits = np.zeros(count, dtype=np.int64)
-        self._log_outer = np.zeros(count)
-        self._lattice_cells = np.arange(count)
-        self._lattice: LookLattice | None = None
+        last_step = _last_steps(looks, candidates)
+        kept = np.flatnonzero(last_step >= 0)
+        self.candidates, self._last_step = candidates.select(kept), last_step[kept]
+        self.looks = looks.near(self.candidates.centers)
+        shape = (len(kept), engine.n_classes, engine.bins)
+        self._total = Evidence(np.zeros(shape), np.zeros(len(kept)), np.zeros(len(kept), np.int64))
+        self._hits = np.zeros(len(kept), dtype=np.int64)
+        self._log_outer = np.zeros(len(kept))
+        self._weights = np.empty((len(kept), 0))
+        self._weighed = slice(0, 0)
 
     def steps(self) -> Iterator[Readout]:
         """The belief after each detection.
 
         Cells are let go after the last detection at which they are candidates.
         """
-        last_candidate = self._survey()
-        width = self.engine.n_classes * self.engine.bins
         start = 0
-        while start < self.looks.n_steps:
-            kept = last_candidate >= start
-            if not kept.all():
-                self._keep(np.flatnonzero(kept))
-                last_candidate = last_candidate[kept]
-            # The belief narrows fast at first: short blocks let cells go early.
-            longest = np.clip(
-                _NUMBERS_AT_ONCE // kept.sum() // width, _SHORTEST_BLOCK, _LONGEST_BLOCK
-            )
-            stop = self._stop(start, int(np.clip(start, _SHORTEST_BLOCK, longest)))
-            yield from self._block(start, stop)
+        while start < len(self.looks.rows):
+            first = int(self.looks.steps[start])
+            self._keep(self._last_step >= first)
+            numbers = len(self.candidates.cells) * self.engine.n_classes * self.engine.bins
+            most = np.clip(_NUMBERS_AT_ONCE // numbers, 1, _STEPS_AT_ONCE)
+            stop = self._stop(start, int(np.searchsorted(self.looks.steps, first + most)))
+            yield from self._block(slice(start, stop))
             start = stop
-
-    def _stop(self, start: int, most: int) -> int:
-        """The step before which a block ends that begins with a step, of so many steps at most."""
-        most_rows = _SIGHTS_AT_ONCE // len(self.candidates.cells)
-        return min(start + most, self.looks.n_steps, self.looks.stop_after(start, most_rows))
 
     def finish(self) -> Readout:
         """The belief after the last detection: what `steps` ends with, in a fraction of the time.
 
         Only cells that are candidates in the end are looked at.
         """
-        looks, known = self.looks, self.candidates.known
-        if not known:
-            detections = looks.rows[looks.rows < looks.looks.n_detections]
-            pointing = looks.looks.pointing.select(detections)
-            seen = sight(self.candidates.centers, self.candidates.grid.cell_size, pointing)
-            self._keep(np.flatnonzero(_is_candidate(seen.inside.sum(axis=1))))
-        self._survey()
-        part = slice(0, len(looks.rows))
-        concern = self._concern(part)
-        scale = self._scale(concern, looks.shares)
+        self._keep(self._last_step == self.looks.n_steps - 1)
         every = np.arange(len(self.candidates.cells))
-        whole = np.zeros(len(looks.rows), dtype=np.int64)
-        self._total = self._evidence(concern, scale, every, whole, part)
-        self._hits = self._new_hits(concern).sum(axis=1)
-        if not known:
-            factor = concern.log_factor if scale is None else concern.log_factor * scale
-            self._log_outer = factor.sum(axis=1)
+        start = 0
+        while start < len(self.looks.rows):
+            stop = self._stop(start, len(self.looks.rows))
+            part = slice(start, stop)
+            concern = self._concern(part)
+            scale = self._scale(concern, part)
+            whole = np.zeros(stop - start, dtype=np.int64)
+            self._add(every, self._evidence(concern, scale, every, whole, part))
+            self._hits += self._pointed_at(concern).sum(axis=1)
+            self._log_outer += self._log_factor(concern, scale).sum(axis=1)
+            start = stop
         outer = self.log_priors + self._log_outer[:, None]
         log_joint = np.concatenate(
             [self._total.background[:, None], log_mean_exp(self._total.classes)], axis=1
@@ -152,117 +145,132 @@ class ObjectFilter:
             self._total.classes, outer[:, 1:], log_joint + outer, self.candidates.centers
         )
 
-    def _survey(self) -> IntArray:
-        """Count the looks around each viewpoint; return each cell's last step as a candidate."""
-        settings = self.looks.looks.settings
-        if settings.correlation is not None:
-            centers = self.candidates.centers
-            pointing = self.looks.looks.pointing
-            # A frame without a detection speaks of what is in view alone.
-            positions = pointing.positions[self.looks.rows[~self.looks.silent]]
-            farthest = np.hypot(
-                *np.maximum(
-                    np.abs(positions.max(axis=0) - centers.min(axis=0)),
-                    np.abs(centers.max(axis=0) - positions.min(axis=0)),
-                )
-            )
-            reach = max(float(farthest), pointing.max_range)
-            self._lattice = LookLattice(len(centers), reach, *settings.correlation)
-            self._lattice_cells = np.arange(len(centers))
-        last = np.full(len(self.candidates.cells), -1, dtype=np.int64)
-        hits = self._hits
-        start = 0
-        while start < self.looks.n_steps:
-            stop = self._stop(start, _STEPS_AT_ONCE)
-            part = self.looks.within(start, stop)
-            concern = self._concern(part)
-            totals = hits[:, None] + np.cumsum(self._new_hits(concern), axis=1)
-            candidate = _is_candidate(totals)
-            latest = stop - start - 1 - np.argmax(candidate[:, ::-1], axis=1)
-            last = np.where(candidate.any(axis=1), start + latest, last)
-            hits = totals[:, -1]
-            if self._lattice is not None:
-                cell, column = np.nonzero(concern.speaks & ~concern.is_detection)
-                self._lattice.deposit(
-                    cell, concern.seen.ranges[cell, column], concern.seen.directions[cell, column]
-                )
-            start = stop
-        return last
+    def _stop(self, start: int, most: int) -> int:
+        """Where a block ends that begins with a look, before another one at the latest."""
+        looks = self.looks
+        stop = min(most, start + max(2, _SIGHTS_AT_ONCE // len(self.candidates.cells)))
+        if stop < len(looks.rows):
+            # A detection and its frame, which is the next look, stay together.
+            before, after = looks.looks.frames[looks.rows[stop - 1 : stop + 1]]
+            stop += int(before == after)
+        return stop
 
-    def _keep(self, cells: IntArray) -> None:
+    def _keep(self, mask: BoolArray) -> None:
         """Go on with some of the cells only."""
-        self.candidates = replace(self.candidates, cells=self.candidates.cells[cells])
-        self._total = self._total.select(cells)
+        if mask.all():
+            return
+        cells = np.flatnonzero(mask)
+        self.candidates, self._total = self.candidates.select(cells), self._total.select(cells)
         self._hits, self._log_outer = self._hits[cells], self._log_outer[cells]
-        self._lattice_cells = self._lattice_cells[cells]
+        self._last_step, self._weights = self._last_step[cells], self._weights[cells]
 
     def _concern(self, part: slice) -> Concern:
         return self.looks.concern(self.candidates.centers, self.candidates.grid.cell_size, part)
 
-    def _new_hits(self, concern: Concern) -> IntArray:
-        """Whether each detection points at each cell; all do at a known position, (k, steps)."""
-        columns = np.flatnonzero(concern.is_detection)
+    def _pointed_at(self, concern: Concern) -> BoolArray:
+        """Whether each look is a detection that points at each cell, (k, l)."""
         if self.candidates.known:
-            return np.ones((len(concern.speaks), len(columns)), dtype=np.int64)
-        located = concern.seen.inside[:, columns] & concern.located[columns]
-        return located.astype(np.int64)
+            return np.broadcast_to(concern.is_detection, concern.speaks.shape)
+        return concern.seen.inside & concern.located
 
-    def _scale(self, concern: Concern, shares: FloatArray) -> FloatArray | None:
+    def _log_factor(self, concern: Concern, scale: FloatArray | None) -> FloatArray:
+        """What it costs each cell that looks point elsewhere, (k, l)."""
+        if self.candidates.known:
+            return np.zeros(concern.log_factor.shape)
+        return concern.log_factor if scale is None else concern.log_factor * scale
+
+    def _scale(self, concern: Concern, part: slice) -> FloatArray | None:
         """Weight of every look at every cell, (k, l); None for one each."""
-        if self._lattice is None:
+        settings, shares = self.looks.looks.settings, self.looks.shares[part]
+        if settings.correlation is None or not settings.probabilities:
             whole = bool((shares == 1.0).all() and (concern.belongs == 1.0).all())
             return None if whole else np.broadcast_to(shares, concern.speaks.shape)
-        # Looks that neither speak of a cell nor point away from it need no weight.
-        needed = (concern.speaks & (concern.belongs > 0.0)) | (concern.log_factor < 0.0)
-        cell, _ = np.nonzero(needed)
-        weights = np.zeros(needed.shape)
-        weights[needed] = self._lattice.weights(
-            self._lattice_cells[cell], concern.seen.ranges[needed], concern.seen.directions[needed]
-        )
-        return np.asarray(weights * shares)
+        if part.stop > self._weighed.stop:
+            self._weigh(part)
+        first = self._weighed.start
+        return self._weights[:, part.start - first : part.stop - first] * shares
 
-    def _block(self, start: int, stop: int) -> Iterator[Readout]:
-        part = self.looks.within(start, stop)
-        concern = self._concern(part)
-        scale = self._scale(concern, self.looks.shares[part])
-        steps = self.looks.steps[part] - start
-        hits = self._hits[:, None] + np.cumsum(self._new_hits(concern), axis=1)
-        factor = np.zeros(concern.log_factor.shape)
-        if not self.candidates.known:
-            factor = concern.log_factor if scale is None else concern.log_factor * scale
-        first = np.searchsorted(steps, np.arange(stop - start))
-        log_outer = self._log_outer[:, None] + np.cumsum(
-            np.add.reduceat(factor, first, axis=1), axis=1
-        )
-        candidate = _is_candidate(hits)
-        before, before_mass = self._total, self._mass(self._total, self._log_outer)
-        every = np.arange(len(self.candidates.cells))
-        whole = np.zeros(len(steps), dtype=np.int64)
-        after = before + self._evidence(concern, scale, every, whole, part)
-        after_mass = self._mass(after, log_outer[:, -1])
-        # What matters neither before the block nor after it does not matter within.
-        active = np.flatnonzero(
-            candidate.any(axis=1)
-            & (
-                (before_mass > before_mass[candidate[:, 0]].max(initial=-np.inf) - NEGLIGIBLE)
-                | (after_mass > after_mass[candidate[:, -1]].max(initial=-np.inf) - NEGLIGIBLE)
+    def _weigh(self, part: slice) -> None:
+        """Find the weights of looks from those of a block on, as many as there is room for."""
+        looks, count = self.looks, len(self.candidates.cells)
+        widths = looks.looks.settings.correlation
+        assert widths is not None
+        stop = min(max(part.stop, part.start + _WEIGHTS_AT_ONCE // count), len(looks.rows))
+        self._weighed = slice(part.start, stop)
+        self._weights = np.empty((count, stop - part.start))
+        most = max(1, _SIGHTS_AT_ONCE // len(looks.rows))
+        for first in range(0, count, most):
+            some = slice(first, first + most)
+            centers = self.candidates.centers[some]
+            concern = looks.concern(
+                centers, self.candidates.grid.cell_size, slice(0, len(looks.rows))
             )
+            weights = shared_votes(
+                concern.speaks & ~concern.is_detection,
+                concern.seen.ranges,
+                concern.seen.directions,
+                *widths,
+            )
+            # A detection has the weight of its frame, which is the next look.
+            detections = np.flatnonzero(concern.is_detection)
+            weights[:, detections] = weights[:, detections + 1]
+            self._weights[some] = weights[:, self._weighed]
+
+    def _block(self, part: slice) -> Iterator[Readout]:
+        """Take in some looks; the belief after each step that ends with them."""
+        concern = self._concern(part)
+        scale = self._scale(concern, part)
+        number = self.looks.steps[part]
+        steps = number - number[0]
+        first = np.flatnonzero(np.diff(steps, prepend=-1))
+        # The last step may go on in the next block.
+        n_ended = len(first) - int(
+            (self.looks.steps[part.stop : part.stop + 1] == number[-1]).sum()
         )
+        pointed = np.add.reduceat(self._pointed_at(concern), first, axis=1, dtype=np.int64)
+        hits = self._hits[:, None] + np.cumsum(pointed, axis=1)
+        factor = np.add.reduceat(self._log_factor(concern, scale), first, axis=1)
+        log_outer = self._log_outer[:, None] + np.cumsum(factor, axis=1)
+        self._hits, self._log_outer = hits[:, -1], log_outer[:, -1]
+        candidate = _is_candidate(hits)[:, :n_ended]
+        now = candidate.any(axis=1)
+        active, waiting = np.flatnonzero(now), np.flatnonzero(~now)
+        self._add(waiting, self._evidence(concern, scale, waiting, np.zeros_like(steps), part))
+        if not n_ended:
+            return
         each = self._evidence(concern, scale, active, steps, part)
-        shape = (len(active), stop - start)
-        classes = each.classes.reshape(*shape, self.engine.n_classes, self.engine.bins)
-        classes = before.classes[active, None] + np.cumsum(classes, axis=1)
-        background = before.background[active, None] + np.cumsum(
-            each.background.reshape(shape), axis=1
-        )
-        outer = np.where(candidate[active], log_outer[active], -np.inf)
-        outer = self.log_priors + outer[..., None]
-        log_joint = np.concatenate([background[..., None], log_mean_exp(classes)], axis=-1)
+        classes, background = self._running(active, each)
+        log_outer = np.where(candidate, log_outer[:, :n_ended], -np.inf)[active]
+        matters = self._matters(classes[:, :n_ended], background[:, :n_ended], log_outer)
+        step, cell = np.nonzero(matters.T)
+        kept = classes[cell, step]
+        outer = self.log_priors + log_outer[cell, step, None]
+        log_joint = np.concatenate([background[cell, step, None], log_mean_exp(kept)], axis=1)
         log_joint += outer
-        centers = self.candidates.centers[active]
-        self._total, self._hits, self._log_outer = after, hits[:, -1], log_outer[:, -1]
-        for t in range(stop - start):
-            yield Readout(classes[:, t], outer[:, t, 1:], log_joint[:, t], centers)
+        centers = self.candidates.centers[active[cell]]
+        for begin, end in pairwise(np.searchsorted(step, np.arange(n_ended + 1)).tolist()):
+            own = slice(begin, end)
+            yield Readout(kept[own], outer[own, 1:], log_joint[own], centers[own])
+
+    def _running(self, cells: IntArray, each: Evidence) -> tuple[FloatArray, FloatArray]:
+        """Add evidence of some cells' steps; their totals after each step, (k, steps, ...)."""
+        total = self._total
+        shape = (len(cells), -1)
+        classes = each.classes.reshape(*shape, *each.classes.shape[1:])
+        background = each.background.reshape(shape)
+        classes[:, 0] += total.classes[cells]
+        background[:, 0] += total.background[cells]
+        # In place: a cumulative sum along this axis takes many times as long.
+        for step in range(1, classes.shape[1]):
+            classes[:, step] += classes[:, step - 1]
+            background[:, step] += background[:, step - 1]
+        total.classes[cells], total.background[cells] = classes[:, -1], background[:, -1]
+        return classes, background
+
+    def _add(self, cells: IntArray, evidence: Evidence) -> None:
+        """Add evidence of some cells."""
+        self._total.classes[cells] += evidence.classes
+        self._total.background[cells] += evidence.background
 
     def _evidence(
         self,
@@ -287,11 +295,18 @@ class ObjectFilter:
         exact = self.candidates.known
         return self.engine.exact_evidence(pairs) if exact else self.engine.evidence(pairs)
 
-    def _mass(self, total: Evidence, log_outer: FloatArray) -> FloatArray:
-        """Rough log belief of each cell, for leaving out those that do not matter, (k,)."""
-        peak = total.classes.max(axis=-1) + self.log_priors[1:]
-        best = np.maximum(peak.max(axis=-1), total.background + self.log_priors[0])
-        return np.asarray(best + log_outer)
+    def _matters(
+        self, classes: FloatArray, background: FloatArray, log_outer: FloatArray
+    ) -> BoolArray:
+        """Cells not negligible for what they say of some class or of none, (k, ...)."""
+        peaks = classes.max(axis=-1) + self.log_priors[1:] + log_outer[..., None]
+        mass = np.concatenate(
+            [(background + self.log_priors[0] + log_outer)[..., None], peaks], axis=-1
+        )
+        best = mass.max(axis=-1)
+        # The best one matters even if nothing explains what was measured.
+        matters = (mass > mass.max(axis=0) - NEGLIGIBLE).any(axis=-1) | (best == best.max(axis=0))
+        return np.asarray(matters)
 
     @property
     def log_evidence(self) -> float:
@@ -301,9 +316,8 @@ class ObjectFilter:
 
     def _joint(self) -> tuple[IntArray, FloatArray, FloatArray]:
         """Cells that matter, their log likelihoods and log joint, background first."""
-        mass = self._mass(self._total, self._log_outer)
-        mass = np.where(_is_candidate(self._hits), mass, -np.inf)
-        kept = np.flatnonzero(mass >= mass.max() - NEGLIGIBLE)
+        log_outer = np.where(_is_candidate(self._hits), self._log_outer, -np.inf)
+        kept = np.flatnonzero(self._matters(self._total.classes, self._total.background, log_outer))
         classes = self._total.classes[kept]
         log_joint = np.concatenate(
             [self._total.background[kept, None], log_mean_exp(classes)], axis=1
@@ -327,6 +341,25 @@ class ObjectFilter:
             log_density=log_orientation_density(classes, self.engine.shown_bins).astype(np.float32),
             measurements=np.full(len(kept), last.measurements, dtype=np.int64),
         )
+
+
+def _last_steps(looks: ObjectLooks, candidates: Candidates) -> IntArray:
+    """The last step, that is detection, at which each cell is a candidate, -1 for none, (k,)."""
+    count = len(candidates.cells)
+    if candidates.known:
+        return np.full(count, looks.n_steps - 1)
+    detections = looks.rows[looks.rows < looks.looks.n_detections]
+    last, hits = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    most = max(1, _SIGHTS_AT_ONCE // count)
+    for start in range(0, len(detections), most):
+        pointing = looks.looks.pointing.select(detections[start : start + most])
+        seen = sight(candidates.centers, candidates.grid.cell_size, pointing)
+        totals = hits[:, None] + np.cumsum(seen.inside, axis=1)
+        candidate = _is_candidate(totals)
+        latest = start + candidate.shape[1] - 1 - np.argmax(candidate[:, ::-1], axis=1)
+        last = np.where(candidate.any(axis=1), latest, last)
+        hits = totals[:, -1]
+    return last
 
 
 def _is_candidate(hits: IntArray) -> BoolArray:

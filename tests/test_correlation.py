@@ -9,7 +9,7 @@ import pytest
 from oracle import Sighting
 from oracle_looks import look_weights
 
-from mclass.correlation import LookLattice
+from mclass.correlation import shared_votes
 from mclass.records import FloatArray
 
 WIDTHS = (0.3, 0.12)
@@ -25,18 +25,22 @@ def scattered(seed: int) -> tuple[FloatArray, FloatArray]:
 
 
 def lattice_weights(ranges: FloatArray, directions: FloatArray) -> FloatArray:
-    """Weights at the second of three cells, between others of which nothing may be seen."""
-    lattice = LookLattice(3, 3.0, *WIDTHS)
-    lattice.deposit(np.array([0]), np.array([1.5]), np.array([math.pi]))
-    here = np.ones(len(ranges), dtype=np.int64)
-    # In two goes: what is deposited adds up.
-    lattice.deposit(here[:30], ranges[:30], directions[:30])
-    lattice.deposit(here[30:], ranges[30:], directions[30:])
-    return lattice.weights(here, ranges, directions)
+    """Weights at the second of three cells, between others that see little or nothing."""
+    looked = np.zeros((3, len(ranges) + 1), dtype=bool)
+    looked[0, 1], looked[1, 1:] = True, True
+    every = np.tile([4.0, *ranges], (3, 1)), np.tile([4.0, *directions], (3, 1))
+    weights = shared_votes(looked, every[0], every[1], *WIDTHS)
+    np.testing.assert_array_equal(weights[~looked], 0.0)
+    assert weights[0, 1] == pytest.approx(1.0, abs=1e-3)
+    return weights[1, 1:]
 
 
+@pytest.mark.parametrize("at_once", [7, 2**12])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_weights_match_counting_pairs(seed: int) -> None:
+def test_weights_match_counting_pairs(
+    seed: int, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mclass.correlation._LOOKS_AT_ONCE", at_once)
     ranges, directions = scattered(seed)
     cell = np.array([0.7, -1.9])
     places = cell + ranges[:, None] * np.stack([np.cos(directions), np.sin(directions)], axis=1)
@@ -59,13 +63,10 @@ def test_a_look_on_its_own_counts_in_full() -> None:
 
 
 def test_ten_looks_from_one_place_share_one_vote() -> None:
-    lattice = LookLattice(1, 2.0, *WIDTHS)
-    ten = np.zeros(10, dtype=np.int64), np.full(10, 1.234), np.full(10, 0.77)
-    lattice.deposit(*ten)
-    assert lattice.weights(*ten) == pytest.approx(np.full(10, 0.1), rel=1e-3)
+    ten = np.full((1, 10), 1.234), np.full((1, 10), 0.77)
+    weights = shared_votes(np.ones((1, 10), dtype=bool), *ten, *WIDTHS)
+    assert weights == pytest.approx(np.full((1, 10), 0.1), rel=1e-3)
     # One more, a width farther away: the ten count exp(-1/2) each.
-    one = np.array([0]), np.array([1.534]), np.array([0.77])
-    lattice = LookLattice(1, 2.0, *WIDTHS)
-    lattice.deposit(*ten)
-    lattice.deposit(*one)
-    assert lattice.weights(*one) == pytest.approx([1.0 / (1.0 + 10.0 * math.exp(-0.5))], rel=1e-3)
+    eleven = np.append(ten[0], [[1.534]], axis=1), np.full((1, 11), 0.77)
+    weights = shared_votes(np.ones((1, 11), dtype=bool), *eleven, *WIDTHS)
+    assert weights[0, 10] == pytest.approx(1.0 / (1.0 + 10.0 * math.exp(-0.5)), rel=1e-3)
