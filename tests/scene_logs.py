@@ -13,6 +13,7 @@ from mcap.writer import Writer
 from mclass.classes import ClassModel
 from mclass.logs.measurements import LogContents, read_measurements
 from mclass.logs.reader import LogReader
+from mclass.messages import proto_files, protobuf
 from mclass.model import LogSettings, Model
 
 Message = dict[str, Any]
@@ -48,6 +49,15 @@ class SceneLog:
         if key not in self._channels:
             identity = self._writer.register_schema(schema, "jsonschema", b"{}") if schema else 0
             self._channels[key] = self._writer.register_channel(topic, "json", identity)
+        self._writer.add_message(self._channels[key], log_time_ns, data, log_time_ns)
+
+    def protobuf(self, topic: str, schema: str, log_time_ns: int, message: Message) -> None:
+        key = (topic, schema)
+        if key not in self._channels:
+            data = proto_files.descriptor_set(schema)
+            identity = self._writer.register_schema(schema, "protobuf", data)
+            self._channels[key] = self._writer.register_channel(topic, "protobuf", identity)
+        data = protobuf.codec(schema).encode(message)
         self._writer.add_message(self._channels[key], log_time_ns, data, log_time_ns)
 
     def odometry(

@@ -25,7 +25,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mclass.errors import LogError
-from mclass.logs.decode import decoder_for
+from mclass.logs.decode import decoder_for, is_absent
 from mclass.logs.reader import ChannelInfo
 
 F = FieldDescriptorProto
@@ -414,6 +414,20 @@ def test_defaults_of_fields_left_out() -> None:
         [4],
         [0],
     ]
+
+
+@pytest.mark.parametrize("count", [1, 40])
+def test_optional_numbers_are_absent_or_zero(count: int) -> None:
+    fields = [one(F.TYPE_DOUBLE, n, proto3_optional=True, oneof_index=n - 1) for n in (1, 2)]
+    source = hand_channel("proto3", *fields, one(F.TYPE_FLOAT, 3))
+    nan = b"\x09\x00\x00\x00\x00\x00\x00\xf8\xff"
+    payloads = [b"", b"\x09" + bytes(8), nan] * count
+    columns = decoder_for(source).columns(batch(source, payloads), ["f1", "f2", "f3"])
+    first, second, third = (columns.values[name].values for name in ("f1", "f2", "f3"))
+    assert is_absent(first).tolist() == [True, False, False] * count
+    assert np.isnan(first).tolist() == [True, False, True] * count
+    assert is_absent(second).all()
+    assert third.tolist() == [0.0, 0.0, 0.0] * count
 
 
 def test_maps_groups_and_messages_in_themselves_are_left_out() -> None:

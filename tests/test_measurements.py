@@ -744,6 +744,36 @@ def test_our_own_detections_with_boxes_and_bearings(log: SceneLog) -> None:
     ]
 
 
+@pytest.mark.parametrize("encoding", ["json", "protobuf"])
+def test_bearings_are_given_or_not_in_every_encoding(log: SceneLog, encoding: str) -> None:
+    standing_robot(log)
+    bearings: list[dict[str, float] | None] = [
+        {"right": -0.2, "left": 0.3},
+        None,
+        {"right": 0.0, "left": 0.0},
+        {"left": 0.4},
+        {"right": math.nan, "left": math.nan},
+    ]
+    found = [
+        {
+            "id": f"o{number}",
+            "labels": [{"name": "cup", "score": 0.75}],
+            **({} if bearing is None else {"bearing": bearing}),
+        }
+        for number, bearing in enumerate(bearings)
+    ]
+    message = {"frame_id": "base_link", "detections": found}
+    if encoding == "json":
+        log.add("/seen", "mclass.Detections", at(1.0), {"timestamp": stamp(1.0), **message})
+    else:
+        times = dict(zip(("seconds", "nanos"), divmod(at(1.0), SECOND), strict=True))
+        log.protobuf("/seen", "mclass.Detections", at(1.0), {"timestamp": times, **message})
+    contents = read(log.close())
+    expected = [[NORTH - 0.2, NORTH + 0.3], [np.nan, np.nan], [NORTH, NORTH]]
+    np.testing.assert_allclose(contents.measurements.directions, expected, atol=1e-12)
+    assert contents.tally.counts == {"box not finite": 2}
+
+
 def test_image_annotations_are_read_by_place(log: SceneLog) -> None:
     standing_robot(log)
 

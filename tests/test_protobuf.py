@@ -267,6 +267,17 @@ def test_json_keeps_large_integers_as_text_and_times_as_numbers() -> None:
     }
 
 
+def test_numbers_that_are_optional_are_absent_or_written() -> None:
+    looks = [{"bearing": {"left": 0.0}}, {"bearing": {}}, {}]
+    value = {"detections": looks}
+    data = protobuf.codec("mclass.Detections").encode(value)
+    found = runtime_class("mclass.Detections").FromString(data).detections
+    assert [one.bearing.HasField("left") for one in found] == [True, False, False]
+    assert not any(one.bearing.HasField("right") for one in found)
+    written = json.loads(proto_json.codec("mclass.Detections").encode(value))["detections"]
+    assert [one["bearing"] for one in written] == [{"left": 0.0}, {}, {}]
+
+
 def test_json_holds_bytes_and_surrogate_halves() -> None:
     codec = proto_json.codec("foxglove.Grid")
     data = codec.encode({"frame_id": "a\ud800", "data": b"\x00\xff"})

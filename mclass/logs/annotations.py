@@ -89,6 +89,7 @@ def read_annotations(table: Table) -> Detections:
         ids=ids[first],
         has_box=has_box,
         boxes=boxes,
+        has_bearing=np.zeros(len(first), bool),
         bearings=np.full((len(first), 2), np.nan),
         has_volume=np.zeros(len(first), bool),
         volumes=np.full((len(first), 10), np.nan),

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mclass.errors import LogError
-from mclass.logs.decode.json import is_absent
+from mclass.logs.decode import ABSENT, is_absent
 from mclass.logs.families import BoxFormat
 from mclass.logs.fields import BoxFields, DetectionFields
 from mclass.logs.tables import Table, level_of
@@ -34,7 +34,8 @@ class Detections:
         ids: Object id of each detection, empty for none, (n,).
         has_box: Which detections have an image box, (n,).
         boxes: Left, top, right, bottom [pixel], (n, 4); NaN without a box.
-        bearings: Right and left [rad] in the sensor's frame, (n, 2); NaN without.
+        has_bearing: Which detections have a bearing, (n,).
+        bearings: Right and left [rad] in the sensor's frame, (n, 2).
         has_volume: Which detections have a 3-D box, (n,).
         volumes: Its position (3), orientation (4) and size (3) in the sensor's frame, (n, 10).
         label_detection: Detection of each label, non-decreasing, (k,).
@@ -50,6 +51,7 @@ class Detections:
     ids: TextArray
     has_box: BoolArray
     boxes: FloatArray
+    has_bearing: BoolArray
     bearings: FloatArray
     has_volume: BoolArray
     volumes: FloatArray
@@ -88,6 +90,7 @@ def join_detections(parts: Sequence[Detections]) -> Detections:
         ids=joined("ids"),
         has_box=joined("has_box"),
         boxes=joined("boxes"),
+        has_bearing=joined("has_bearing"),
         bearings=joined("bearings"),
         has_volume=joined("has_volume"),
         volumes=joined("volumes"),
@@ -119,10 +122,11 @@ def read_detections(table: Table, fields: DetectionFields) -> Detections:
     ids = np.full(count, "", dtype=object)
     if fields.id is not None:
         ids = as_ids(table.at_level(fields.id, element))
-    bearings = np.full((count, 2), np.nan)
+    has_bearing, bearings = np.zeros(count, bool), np.full((count, 2), np.nan)
     if fields.bearing is not None:
         sides = [table.at_level(path, element) for path in fields.bearing]
-        bearings = np.where(has_box[:, None], np.nan, np.stack(sides, axis=1).astype(float))
+        bearings = np.stack(sides, axis=1).astype(float)
+        has_bearing = np.asarray(~is_absent(bearings).all(axis=1))
     return Detections(
         topics=np.full(len(table), table.channel.topic, dtype=object),
         stamps_ns=read_stamps(table, fields.stamps),
@@ -132,6 +136,7 @@ def read_detections(table: Table, fields: DetectionFields) -> Detections:
         ids=ids,
         has_box=has_box,
         boxes=boxes,
+        has_bearing=has_bearing,
         bearings=bearings,
         has_volume=has_volume,
         volumes=volumes,
@@ -156,6 +161,7 @@ def no_detections(
         ids=texts,
         has_box=np.zeros(0, bool),
         boxes=np.zeros((0, 4)),
+        has_bearing=np.zeros(0, bool),
         bearings=np.zeros((0, 2)),
         has_volume=np.zeros(0, bool),
         volumes=np.zeros((0, 10)),
@@ -255,9 +261,8 @@ def _labels(
     scores = np.ones(len(labels))
     if fields.score is not None:
         scores = table.at_level(fields.score, level).astype(np.float64)
-        # A JSON message may leave the score out where it has nothing to say.
-        if table.channel.message_encoding == "json":
-            scores = np.where(is_absent(scores), 1.0, scores)
+        # A message may leave the score out where it has nothing to say.
+        scores = np.where(is_absent(scores), 1.0, scores)
     return detection, labels, scores
 
 
@@ -273,9 +278,7 @@ def _boxes(
         given = np.asarray(numbers, dtype=np.float64)
     else:
         given = _four_numbers(table, box.paths[0], element, count)
-    absent = (given == 0.0).all(axis=1)
-    if table.channel.message_encoding == "json" or len(box.paths) == 1:
-        absent |= np.isnan(given).all(axis=1)
+    absent = np.asarray((given == 0.0).all(axis=1) | is_absent(given).all(axis=1))
     turn = np.zeros(count)
     if box.angle is not None:
         turn = np.asarray(table.at_level(box.angle, element), dtype=np.float64)
@@ -309,11 +312,11 @@ def _four_numbers(table: Table, path: str, element: str, count: int) -> FloatArr
         return values
     spans = table.spans(element, level_of(path))
     sizes = np.diff(spans)
-    result = np.full((count, 4), np.nan)
+    result = np.full((count, 4), ABSENT)
     full = sizes == 4
     result[full] = values[spans[:-1][full, None] + np.arange(4)]
     # Any other length is a box that means nothing, not the absence of one.
-    result[(sizes != 4) & (sizes != 0)] = np.array([np.nan, np.nan, np.nan, np.inf])
+    result[(sizes != 4) & (sizes != 0)] = np.nan
     return result
 
 

@@ -285,7 +285,7 @@ def _directions(
     no_camera = len(directions.REASONS)
     problems = []
     sensor_of = looks.sensor_index[found.look_index]
-    has_bearing = np.asarray(~np.isnan(found.bearings).all(axis=1)) & ~found.has_box
+    has_bearing = found.has_bearing & ~found.has_box
     for index, (sensor, _) in enumerate(inputs.sensors):
         mine = wanted & (sensor_of == index)
         rows = np.flatnonzero(mine & found.has_box)

@@ -76,10 +76,12 @@ class JsonCodec:
         if not fields.keys() >= value.keys():
             raise ValueError(f"{name} has no field {sorted(value.keys() - fields.keys())}")
         names = _TIMES.get(name, {})
-        # Absent fields are written too: viewers list what a message has by its content.
+        # Absent fields are written too: viewers list what a message has by its content. Only
+        # numbers that are optional mean something by being absent.
         parts = [
             b'"%s":%s' % (names.get(key, key).encode(), self._field(field, value.get(key)))
             for key, field in fields.items()
+            if key in value or not field.proto3_optional or field.type == _F.TYPE_MESSAGE
         ]
         return b"{%s}" % b",".join(parts)
 

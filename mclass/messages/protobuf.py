@@ -52,7 +52,7 @@ class _Field:
     tag: bytes
     packed_tag: bytes
     payload: _Payload
-    zero: bytes
+    left_out: bytes
 
 
 class ProtobufCodec:
@@ -109,7 +109,9 @@ class ProtobufCodec:
                 _varint(field.number << 3 | wire_type),
                 _varint(field.number << 3 | _BYTES),
                 payload,
-                b"" if field.type == _F.TYPE_MESSAGE else payload(_DEFAULTS.get(field.type, 0)),
+                b""
+                if field.type == _F.TYPE_MESSAGE or field.proto3_optional
+                else payload(_DEFAULTS.get(field.type, 0)),
             )
 
     def _payload(self, kind: int, type_name: str) -> tuple[_Payload, int]:
@@ -153,7 +155,7 @@ class ProtobufCodec:
                 parts += _repeated(field, content)
             else:
                 payload = field.payload(content)
-                if payload != field.zero:
+                if payload != field.left_out:
                     parts += (field.tag, payload)
         if written != len(value):
             known = {field.name for field in fields.values()}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from mclass.records import BoolArray, IntArray
+from mclass.records import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from mclass.logs.reader import MessageBatch
@@ -19,6 +19,16 @@ MAX_LEAVES = 10_000
 
 # Fewer cursors than this are faster moved by plain Python than by array operations.
 NARROW = 24
+
+# A NaN of its own: one that was written, or comes of calculating, has other bits.
+_ABSENT_BITS = np.int64(0x7FF8_0000_6162_7365)
+ABSENT = float(_ABSENT_BITS.view(np.float64))
+"""A float that a message leaves out, where its encoding can tell that from zero."""
+
+
+def is_absent(values: FloatArray) -> BoolArray:
+    """Which numbers stand for fields that a message left out."""
+    return np.asarray(np.asarray(values, dtype=np.float64).view(np.int64) == _ABSENT_BITS)
 
 
 @dataclass(frozen=True)

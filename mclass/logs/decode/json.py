@@ -1,8 +1,7 @@
 """JSON messages: parsed one by one, then taken apart level by level.
 
-A field that a message leaves out, or sets to null, is NaN for a ``float`` (one with its sign bit
-set, so that `is_absent` tells it from a NaN that was written), ``""``, ``b""``, false, or an
-empty sequence. An ``int`` or ``time`` has no such value: its message is left out.
+A field that a message leaves out, or sets to null, is `ABSENT` for a ``float``, ``""``, ``b""``,
+false, or an empty sequence. An ``int`` or ``time`` has no such value: its message is left out.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mclass.errors import LogError
-from mclass.logs.decode.base import MAX_LEAVES, ChannelDecoder, Column, DamagedError
+from mclass.logs.decode.base import ABSENT, MAX_LEAVES, ChannelDecoder, Column, DamagedError
 from mclass.logs.decode.ragged import offsets_from
-from mclass.records import BoolArray, FloatArray, IntArray
+from mclass.records import IntArray
 
 if TYPE_CHECKING:
     from mclass.logs.reader import ChannelInfo, MessageBatch
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 MAX_DEPTH = 64
 
 _NAN = float("nan")
-_ABSENT = math.copysign(_NAN, -1.0)
 
 NOT_JSON = "not a JSON object"
 
@@ -287,14 +285,9 @@ def _common_kind(known: str, kind: str) -> str:
     return "string" if "string" in (known, kind) else known
 
 
-def is_absent(values: FloatArray) -> BoolArray:
-    """Which numbers stand for fields that a message left out."""
-    return np.asarray(np.isnan(values) & np.signbit(values))
-
-
 def _to_float(value: Value) -> float:
     if value is None:
-        return _ABSENT
+        return ABSENT
     if isinstance(value, bool) or (isinstance(value, str) and "_" in value):
         raise ValueError
     number = float(value)

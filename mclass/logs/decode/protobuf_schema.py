@@ -22,7 +22,7 @@ from google.protobuf.message import DecodeError
 from google.protobuf.text_encoding import CUnescape
 
 from mclass.errors import LogError
-from mclass.logs.decode.base import MAX_LEAVES
+from mclass.logs.decode.base import ABSENT, MAX_LEAVES
 from mclass.logs.decode.wireformat import BLOB, VARINT, WORD32, WORD64
 
 MAX_NESTING = 64
@@ -236,6 +236,8 @@ class _Reader:
             return text
         if kind == "bool":
             return text == "true"
+        if kind == "float" and item.proto3_optional:
+            return ABSENT
         try:
             if kind == "bytes":
                 return CUnescape(text)
