@@ -13,6 +13,10 @@ ByteArray = npt.NDArray[np.uint8]
 
 # Above this many numbers a row, copying row by row beats an index for every number.
 _LONG_ROW = 64
+# So many strings are told apart faster by array operations than by a dictionary.
+_FEW_TEXTS = 100
+_ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
+_HASH_FACTOR = np.uint64(0x9E37_79B9_7F4A_7C15)
 
 
 def offsets_from(counts: IntArray) -> IntArray:
@@ -55,6 +59,16 @@ def read_words(
     return result
 
 
+def read_eights(buffer: ByteArray, starts: IntArray) -> npt.NDArray[np.uint64]:
+    """Eight bytes from each place as one number, (n,); zeros beyond the buffer's end."""
+    if len(buffer) < 8:
+        buffer = np.pad(buffer, (0, 8 - len(buffer)))
+    inside = np.minimum(starts, len(buffer) - 8)
+    words: npt.NDArray[np.uint64] = read_words(buffer, inside, np.dtype("<u8"))
+    beyond = starts - inside
+    return words >> (8 * beyond).astype(np.uint64) if beyond.any() else words
+
+
 def read_rows(
     buffer: ByteArray, starts: IntArray, counts: IntArray, dtype: np.dtype[Any], words: int = 1
 ) -> npt.NDArray[Any]:
@@ -94,6 +108,12 @@ def read_texts(buffer: ByteArray, starts: IntArray, lengths: IntArray) -> npt.ND
         if (joined[width:] == joined[:-width]).all():
             texts.fill(joined[:width].tobytes().decode("utf-8", "replace"))
             return texts
+    found = _distinct(buffer, starts, lengths) if len(starts) > _FEW_TEXTS else None
+    if found is not None:
+        first, which = found
+        strings = read_bytes(buffer, starts[first], lengths[first])
+        distinct = np.array([*(raw.decode("utf-8", "replace") for raw in strings), ""], object)
+        return np.asarray(distinct[which])
     known: dict[bytes, str] = {}
     strings = read_bytes(buffer, starts, lengths)
     for raw in strings:
@@ -101,3 +121,31 @@ def read_texts(buffer: ByteArray, starts: IntArray, lengths: IntArray) -> npt.ND
             known[raw] = raw.decode("utf-8", "replace")
     texts[:] = [known[raw] for raw in strings]
     return texts
+
+
+def _distinct(
+    buffer: ByteArray, starts: IntArray, lengths: IntArray
+) -> tuple[IntArray, IntArray] | None:
+    """Rows that are unlike each other, (k,), and which of these each row is like, (n,).
+
+    None if it cannot be told in a few array operations: where rows are long, or two that differ
+    have the same hash.
+    """
+    longest = int(lengths.max())
+    if longest > _LONG_ROW:
+        return None
+    words = [lengths.view(np.uint64)]
+    hashes = words[0]
+    for at in range(0, longest, 8):
+        bits = 8 * np.clip(lengths - at, 0, 8).astype(np.uint64)
+        # All bits of a shift by 64 are gone.
+        words.append(read_eights(buffer, starts + at) & ~(_ALL << bits))
+        hashes = (hashes ^ words[-1]) * _HASH_FACTOR
+    order = np.argsort(hashes)
+    in_order = hashes[order]
+    is_new = np.append(True, in_order[1:] != in_order[:-1])
+    which = np.empty_like(order)
+    which[order] = np.cumsum(is_new) - 1
+    first = order[is_new]
+    same = first[which]
+    return (first, which) if all((word == word[same]).all() for word in words) else None

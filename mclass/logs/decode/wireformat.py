@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mclass.logs.decode.base import NARROW, CutError, DamagedError, demand
-from mclass.logs.decode.ragged import ByteArray, offsets_from, read_rows, read_words
+from mclass.logs.decode.ragged import ByteArray, offsets_from, read_eights, read_rows
 from mclass.records import IntArray
 
 CUT_SHORT = "a field reaches beyond its message"
@@ -114,7 +114,7 @@ def read_varints(buffer: ByteArray, spans: Spans) -> tuple[IntArray, IntArray]:
         return values, sizes
     bits = values.view(np.uint64)
     at, end = spans.at[more], spans.end[more]
-    words = _words(buffer, at)
+    words = read_eights(buffer, at)
     # The upper bit of the first byte that does not go on; 0 when all eight do.
     last = ~words & _GO_ON
     last &= ~last + _ONE
@@ -135,16 +135,6 @@ def read_varints(buffer: ByteArray, spans: Spans) -> tuple[IntArray, IntArray]:
     if len(more):
         raise DamagedError([(BAD_VARINT, spans.message[more])])
     return values, sizes
-
-
-def _words(buffer: ByteArray, at: IntArray) -> npt.NDArray[np.uint64]:
-    """Eight bytes from each place as one number, (n,); zeros beyond the buffer's end."""
-    if len(buffer) < 8:
-        buffer = np.pad(buffer, (0, 8 - len(buffer)))
-    inside = np.minimum(at, len(buffer) - 8)
-    words: npt.NDArray[np.uint64] = read_words(buffer, inside, np.dtype("<u8"))
-    beyond = at - inside
-    return words >> (8 * beyond).astype(np.uint64) if beyond.any() else words
 
 
 def join_sevens(words: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
