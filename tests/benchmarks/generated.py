@@ -10,6 +10,7 @@ import numpy as np
 
 from mclass.logs.writer import LogWriter
 from mclass.messages import proto_files, protobuf, ros
+from mclass.messages.prepared import Value
 
 START_NS = 1_700_000_000 * 10**9
 STEP_NS = 10**7
@@ -19,6 +20,7 @@ DIFFERENT = 500
 ODOMETRY = "nav_msgs/msg/Odometry"
 DETECTIONS = "vision_msgs/msg/Detection3DArray"
 POSE = "foxglove.PoseInFrame"
+OWN_DETECTIONS = "mclass.Detections"
 IMAGE = "sensor_msgs/msg/CompressedImage"
 IMAGE_SCHEMA = b"std_msgs/Header header\nstring format\nuint8[] data\n"
 
@@ -133,21 +135,40 @@ def write_ros(
         writer.attach("mclass.yaml", "application/yaml", MODEL.encode(), START_NS)
 
 
-def write_protobuf(path: Path, count: int) -> None:
-    """Foxglove poses."""
-    codec = protobuf.codec(POSE)
+def write_protobuf(path: Path, count: int, *, boxes: int = 3) -> None:
+    """Foxglove poses and detections of ours in turn."""
+    codecs = [protobuf.codec(name) for name in (POSE, OWN_DETECTIONS)]
+    generator = np.random.default_rng(1)
     with LogWriter(path) as writer:
-        schema = proto_files.descriptor_set(POSE)
-        channel = writer.add_channel("/pose", "protobuf", POSE, "protobuf", schema)
+        channels = [
+            writer.add_channel(
+                topic, "protobuf", codec.name, "protobuf", proto_files.descriptor_set(codec.name)
+            )
+            for topic, codec in zip(("/pose", "/detections"), codecs, strict=True)
+        ]
         for number in range(count):
             time_ns = START_NS + number * STEP_NS
             angle = 2.0 * np.pi * number / DIFFERENT
-            value = {
-                "timestamp": divmod(time_ns, 10**9),
+            stamp = divmod(time_ns, 10**9)
+            places = generator.uniform(100.0, 500.0, (boxes, 2))
+            pose: Value = {
+                "timestamp": stamp,
                 "frame_id": "odom",
                 "pose": {
                     "position": {"x": 3 * np.cos(angle), "y": 3 * np.sin(angle)},
                     "orientation": _turn(angle),
                 },
             }
-            writer.write(channel, time_ns, codec.encode(value))
+            found = [
+                {
+                    "id": f"box_{index}",
+                    "labels": [{"name": label, "score": 0.9}],
+                    "box": {"center_x": x, "center_y": y, "width": 30.0, "height": 40.0},
+                }
+                for index, (x, y, label) in enumerate(
+                    zip(*places.T, generator.choice(["cup", "jug", "bottle"], boxes), strict=True)
+                )
+            ]
+            looks: Value = {"timestamp": stamp, "frame_id": "camera", "detections": found}
+            for codec, channel, value in zip(codecs, channels, (pose, looks), strict=True):
+                writer.write(channel, time_ns, codec.encode(value))
