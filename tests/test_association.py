@@ -159,3 +159,59 @@ def test_association_can_be_switched_off() -> None:
     measurements, _ = drive(np.random.default_rng(5))
     model = parse_model(MODEL.replace("preset: robust", "preset: robust, association: false"), "m")
     assert estimate_objects(prepare(model, measurements)) == ([], [])
+
+
+def boxes_at(
+    sides: list[tuple[FloatArray, FloatArray]], also: FloatArray | None = None
+) -> LabelMeasurements:
+    """A crate seen over 50 degrees on both of two sides, drawn where the poses put it.
+
+    Args:
+        sides: Direction of the sensor from the crate, and where the crate seems to stand.
+        also: A second crate that seems to stand there, in every frame.
+    """
+    poses: list[list[float]] = []
+    rows: list[tuple[int, tuple[float, float]]] = []
+    for away, place in sides:
+        for turn in np.deg2rad(np.arange(-25, 26, 5)):
+            cosine, sine = np.cos(turn), np.sin(turn)
+            sensor = place + 1.6 * np.array([[cosine, -sine], [sine, cosine]]) @ away
+            heading = np.arctan2(*(place - sensor)[::-1])
+            for target in [place] if also is None else [place, also]:
+                azimuth = np.arctan2(*(target - sensor)[::-1])
+                half = 0.15 / float(np.hypot(*(target - sensor)))
+                rows.append((len(poses), (azimuth - half, azimuth + half)))
+            poses.append([*sensor, heading])
+    stamps = np.arange(len(poses)) * 200_000_000
+    pose_array: FloatArray = np.array(poses)
+    views = pose_array[:, 2:] + np.array([-0.6, 0.6])
+    return LabelMeasurements(
+        frames=Frames(stamps, stamps, pose_array, None, views),
+        frame_index=np.array([frame for frame, _ in rows]),
+        directions=np.array([direction for _, direction in rows]),
+        object_index=np.full(len(rows), -1),
+        object_ids=(),
+        label_offsets=np.arange(len(rows) + 1),
+        labels=np.zeros(len(rows), dtype=np.int64),
+        scores=np.ones(len(rows)),
+        label_names=("crate", "drum"),
+    )
+
+
+NORTH, SOUTH = np.array([0.0, 1.0]), np.array([0.0, -1.0])
+
+
+def test_what_drift_has_parted_is_one() -> None:
+    parted = [(NORTH, np.array([-0.2, 0.0])), (SOUTH, np.array([0.3, 0.1]))]
+    estimates, _ = estimate_objects(prepare(parse_model(MODEL, "m"), boxes_at(parted)))
+    (only,) = last(estimates).values()
+    assert only.measurements == 22
+    assert only.position == pytest.approx([0.05, 0.05], abs=0.4)
+
+
+def test_neighbours_seen_together_are_two() -> None:
+    left, right = np.array([-0.3, 0.0]), np.array([0.4, 0.1])
+    sides = [(NORTH, left), (SOUTH, left)]
+    estimates, _ = estimate_objects(prepare(parse_model(MODEL, "m"), boxes_at(sides, also=right)))
+    found = sorted(tuple(estimate.position) for estimate in last(estimates).values())
+    np.testing.assert_allclose(found, [left, right], rtol=0, atol=0.2)
