@@ -20,7 +20,7 @@ from mclass.evidence import Engine, Evidence, Pairs
 from mclass.footprint import Grid, Pointing, sight, tiles
 from mclass.logarithms import logsumexp
 from mclass.looks import Concern, ObjectLooks
-from mclass.orientation import log_mean_exp
+from mclass.orientation import log_mean_exp, peaks
 from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.results import BeliefBlock, ObjectEstimate
 from mclass.summary import NEGLIGIBLE, Readout
@@ -299,10 +299,9 @@ class ObjectFilter:
         self, classes: FloatArray, background: FloatArray, log_outer: FloatArray
     ) -> BoolArray:
         """Cells not negligible for what they say of some class or of none, (k, ...)."""
-        peaks = classes.max(axis=-1) + self.log_priors[1:] + log_outer[..., None]
-        mass = np.concatenate(
-            [(background + self.log_priors[0] + log_outer)[..., None], peaks], axis=-1
-        )
+        highest, _ = peaks(classes)
+        mass = np.concatenate([background[..., None], highest], axis=-1)
+        mass += self.log_priors + log_outer[..., None]
         best = mass.max(axis=-1)
         # The best one matters even if nothing explains what was measured.
         matters = (mass > mass.max(axis=0) - NEGLIGIBLE).any(axis=-1) | (best == best.max(axis=0))

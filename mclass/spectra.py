@@ -61,9 +61,13 @@ class SpectralTable:
         spectra = np.asarray(self._at(ranges, scale) @ _real(self.spectra))
         spectra = spectra.view(complex).reshape(shape)
         spectra *= self._waves(directions)[:, None, :]
-        own = (np.ones(len(ranges)), np.arange(len(ranges), dtype=np.int32), starts)
-        rows = np.asarray(csr_array(own, shape=(len(starts) - 1, len(ranges))) @ _real(spectra))
-        return self._at_bins(rows.view(complex).reshape(shape))
+        filled = np.flatnonzero(np.diff(starts))
+        own = np.arange(len(ranges), dtype=np.int32), np.append(starts[filled], len(ranges))
+        belongs = csr_array((np.ones(len(ranges)), *own), shape=(len(filled), len(ranges)))
+        rows = np.asarray(belongs @ _real(spectra)).view(complex).reshape(shape)
+        sums = np.zeros((len(starts) - 1, shape[1], self.bins))
+        sums[filled] = self._at_bins(rows)
+        return sums
 
     def _at(self, ranges: FloatArray, scale: FloatArray | None) -> csr_array:
         """Weights of the range nodes at each range, (p, range nodes)."""

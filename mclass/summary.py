@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from mclass.geometry import wrap_angle
 from mclass.logarithms import logsumexp
-from mclass.orientation import find_modes, parabola_vertex, refine, resolution_factors
+from mclass.orientation import (
+    find_modes,
+    parabola_vertex,
+    peaks,
+    refine,
+    resolution_factors,
+)
 from mclass.records import FloatArray
 from mclass.results import ObjectEstimate, OrientationMode
 
 NEGLIGIBLE = 25.0
 """Cells whose log belief is this far below the best are left out of summaries."""
-
-_PEAK_GAIN = 0.3
-"""More than a log belief can rise between a peak's bin and the peak, unless it is hopeless."""
 
 _TIE = 1e-6
 _FINE_BINS = 576
@@ -63,15 +67,14 @@ def summarise(
     best = int(np.argmax(classes))
     tied = np.flatnonzero(classes >= classes[best] - _TIE)
     poses = np.empty((len(classes), 3))
+    places, deviations = _places(readout, cell_size, known=known)
+    poses[:, :2] = places
     modes: tuple[OrientationMode, ...] = ()
-    spread = np.zeros(2)
-    for index in range(len(classes)):
-        place, deviation = _place(readout, index, cell_size, known=known)
-        density = _orientation_marginal(readout, index)
-        found = find_modes(density)
-        poses[index] = [*place, _highest(density, found)]
+    for index, density in enumerate(_orientation_marginals(readout)):
+        poses[index, 2] = _highest(density)
         if index == best:
-            modes, spread = found, deviation
+            modes = find_modes(density)
+            poses[index, 2] = _nearest(modes, poses[index, 2])
     return ObjectEstimate(
         object_id=object_id,
         stamp_ns=stamp_ns,
@@ -82,7 +85,7 @@ def summarise(
         class_index=best,
         tie=tuple(int(i) for i in tied) if len(tied) > 1 else (),
         position=poses[best, :2].copy(),
-        position_std=spread,
+        position_std=deviations[best],
         class_poses=poses,
         modes=modes,
         joint_map=_joint_map(readout),
@@ -97,67 +100,86 @@ def orientation_densities(readout: Readout, bins: int) -> FloatArray:
         between the bins.
     """
     densities = np.empty((readout.log_likelihood.shape[1], bins))
-    for index, row in enumerate(densities):
-        fine = _orientation_marginal(readout, index)
-        fine = fine / (fine.mean() * 2.0 * np.pi)
-        row[:] = np.interp(np.arange(bins) / bins, np.arange(len(fine)) / len(fine), fine, period=1)
+    angles = np.arange(bins) / bins
+    for row, fine in zip(densities, _orientation_marginals(readout), strict=True):
+        scaled = fine / (fine.mean() * 2.0 * np.pi)
+        row[:] = np.interp(angles, np.arange(len(fine)) / len(fine), scaled, period=1)
     return densities
 
 
-def _place(
-    readout: Readout, index: int, cell_size: float, *, known: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Mode of the position given a class, finer than a cell, and its standard deviation [m]."""
+def _places(readout: Readout, cell_size: float, *, known: bool) -> tuple[FloatArray, FloatArray]:
+    """Mode of the position given each class, finer than a cell, and its standard deviation [m].
+
+    Both (n, 2).
+    """
+    count = readout.log_joint.shape[1] - 1
     if known:
-        return readout.centers[0], np.zeros(2)
-    log_mass = readout.log_joint[:, 1 + index]
-    peak = int(np.argmax(log_mass))
-    if not np.isfinite(log_mass[peak]):
-        return readout.centers.mean(axis=0), readout.centers.std(axis=0)
+        return np.tile(readout.centers[0], (count, 1)), np.zeros((count, 2))
     # Averaged readouts hold a cell once for every trajectory.
-    centers, cell = np.unique(readout.centers, axis=0, return_inverse=True)
-    weights = np.bincount(cell, weights=np.exp(log_mass - log_mass[peak]))
-    peak = int(np.argmax(weights))
-    offset = centers - centers[peak]
-    near = np.where(np.abs(offset).max(axis=1) <= 2.5 * cell_size, weights, 0.0)
-    mean = weights @ offset / weights.sum()
-    variance = weights @ (offset - mean) ** 2 / weights.sum() + cell_size**2 / 12.0
-    return centers[peak] + near @ offset / near.sum(), np.sqrt(variance)
+    points, cell = np.unique(readout.centers @ np.array([1.0, 1.0j]), return_inverse=True)
+    centers = np.stack([points.real, points.imag], axis=1)
+    places, deviations = np.empty((count, 2)), np.empty((count, 2))
+    for index, log_mass in enumerate(readout.log_joint[:, 1:].T):
+        most = log_mass.max()
+        if not np.isfinite(most):
+            places[index], deviations[index] = centers.mean(axis=0), centers.std(axis=0)
+            continue
+        weights = np.bincount(cell, weights=np.exp(log_mass - most))
+        peak = int(np.argmax(weights))
+        offset = centers - centers[peak]
+        near = np.where(np.abs(offset).max(axis=1) <= 2.5 * cell_size, weights, 0.0)
+        mean = weights @ offset / weights.sum()
+        variance = weights @ (offset - mean) ** 2 / weights.sum() + cell_size**2 / 12.0
+        places[index] = centers[peak] + near @ offset / near.sum()
+        deviations[index] = np.sqrt(variance)
+    return places, deviations
 
 
-def _orientation_marginal(readout: Readout, index: int) -> FloatArray:
-    """Orientation density given a class, position summed out, any scale, (fine bins,)."""
-    log_mass = readout.log_joint[:, 1 + index]
-    peak = log_mass.max()
+def _orientation_marginals(readout: Readout) -> Iterator[FloatArray]:
+    """Orientation density given each class, position summed out, any scale, (fine bins,)."""
     bins = readout.log_likelihood.shape[-1]
-    if not np.isfinite(peak):
-        return np.ones(bins)
-    kept = np.flatnonzero(log_mass > peak - NEGLIGIBLE)
-    values = readout.log_likelihood[kept, index] + readout.log_outer[kept, index, None]
-    factor = int(resolution_factors(values).max())
-    fine = refine(values, factor)
-    highest = fine.max(axis=0)
-    marginal = np.log(np.exp(fine - highest).sum(axis=0)) + highest - fine.max()
-    further = max(1, 2 ** int(np.ceil(np.log2(_FINE_BINS / (bins * factor)))))
-    return np.asarray(np.exp(refine(marginal, further)))
+    for index, log_mass in enumerate(readout.log_joint[:, 1:].T):
+        peak = log_mass.max()
+        if not np.isfinite(peak):
+            yield np.ones(bins)
+            continue
+        kept = np.flatnonzero(log_mass > peak - NEGLIGIBLE)
+        values = readout.log_likelihood[kept, index] + readout.log_outer[kept, index, None]
+        factor = int(resolution_factors(values).max())
+        fine = refine(values, factor)
+        top = fine.max(axis=0)
+        fine -= top
+        np.exp(fine, out=fine)
+        marginal = np.log(fine.sum(axis=0)) + (top - top.max())
+        further = max(1, 2 ** int(np.ceil(np.log2(_FINE_BINS / (bins * factor)))))
+        yield np.exp(refine(marginal, further))
 
 
-def _highest(density: FloatArray, modes: tuple[OrientationMode, ...]) -> float:
-    """Orientation [rad] of the mode with the greatest density."""
+def _highest(density: FloatArray) -> float:
+    """Orientation [rad] where a density is greatest, found between its samples."""
     # Equal peaks differ by rounding: the smaller angle is taken.
-    first = int(np.argmax(density >= density.max() * (1.0 - 1e-9)))
-    peak = 2.0 * np.pi * first / len(density)
+    peak = int(np.argmax(density >= density.max() * (1.0 - 1e-9)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        around = np.log(density[np.arange(peak - 1, peak + 2) % len(density)])
+        angle = 2.0 * np.pi / len(density) * (peak + parabola_vertex(*around))
+    return float(angle % (2.0 * np.pi))
+
+
+def _nearest(modes: tuple[OrientationMode, ...], angle: float) -> float:
+    """The orientation [rad] of the mode nearest to an angle."""
     angles = np.array([mode.orientation for mode in modes])
-    return float(angles[np.argmin(np.abs(wrap_angle(angles - peak)))])
+    return float(angles[np.argmin(np.abs(wrap_angle(angles - angle)))])
 
 
 def _joint_map(readout: Readout) -> tuple[int, float, float, float]:
     """Paper eq. (24) to the letter: class index, x, y [m], orientation [rad]."""
-    peaks = readout.log_likelihood.max(axis=-1) + readout.log_outer
-    best = peaks.max()
+    heights, bends = peaks(readout.log_likelihood)
+    heights = heights + readout.log_outer
+    best = heights.max()
     if not np.isfinite(best):
         return 0, float(readout.centers[0, 0]), float(readout.centers[0, 1]), 0.0
-    cells, classes = np.nonzero(peaks > best - _PEAK_GAIN)
+    # Between its bins a parabola rises by an eighth of its bend at most.
+    cells, classes = np.nonzero(heights + bends / 4.0 >= best)
     factor = max(1, _FINE_BINS // readout.log_likelihood.shape[-1])
     fine = refine(readout.log_likelihood[cells, classes], factor)
     fine += readout.log_outer[cells, classes, None]
