@@ -18,7 +18,9 @@ rounding of the former show in the latter.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -26,10 +28,18 @@ from numpy.fft import irfft, rfft
 from scipy.sparse import csc_array, csr_array
 
 from mclass.records import FloatArray, IntArray
-from mclass.table import REACH, TOLERANCE, LikelihoodTable, error_growth, quintic_weights
+from mclass.table import REACH, LikelihoodTable, error_growth, quintic_weights
+
+_LEFT_OUT = 3e-5
+"""Error allowed, of either sign, for leaving out what adds least to a table."""
 
 _READING_ERROR = 1e-5
 """Error allowed, of either sign, for reading shares linearly between tabulated ranges."""
+
+ComplexArray = npt.NDArray[np.complex128]
+
+_AT_ONCE = 2**14
+"""Measurements of which all there is to know fits the processor's cache."""
 
 _TAPS = 2 * REACH
 _FROM_POWERS = (
@@ -54,14 +64,16 @@ class ConvolutionTable:
 
     Attributes:
         bins: Orientation bins.
-        n_directions: Direction nodes around the circle, a multiple of the bins.
+        phases: Direction nodes a bin.
         fine_step: Distance between the ranges at which shares are tabulated [m].
         shares: u at multiples of that, from 0 on, (ranges, J).
-        curves: Conjugate spectra of the J curves for each class, (frequencies, J, k).
+        curves: Conjugate spectra of the J curves for each class, one for the nodes of each
+            phase: matrices (frequencies, 2 phases * J, 2 k) of real numbers, which take the
+            real and imaginary parts of sums to those of evidence.
     """
 
     bins: int
-    n_directions: int
+    phases: int
     fine_step: float
     shares: FloatArray
     curves: FloatArray
@@ -69,13 +81,12 @@ class ConvolutionTable:
     @property
     def size(self) -> int:
         """Numbers to be transformed for a row."""
-        _, rank, k = self.curves.shape
-        return self.n_directions * int(rank + k)
+        return self.bins * sum(self.curves.shape[1:]) // 2
 
-    def sums(
+    def spectra(
         self, starts: IntArray, ranges: FloatArray, directions: FloatArray, scale: FloatArray | None
-    ) -> FloatArray:
-        """Evidence of every row, (rows, k, bins).
+    ) -> ComplexArray:
+        """Spectra over orientation of every row's evidence, (frequencies, rows, k).
 
         Args:
             starts: Row ``i`` owns entries ``starts[i]:starts[i + 1]`` of the others, (rows + 1,).
@@ -83,49 +94,47 @@ class ConvolutionTable:
             directions: World directions of the sensor seen from the cell [rad], (p,).
             scale: Weight of each measurement, (p,), or None for one each.
         """
-        sums = self._deposit(starts, ranges, directions, scale)
-        spectra = rfft(sums, n=self.n_directions, axis=1)
-        product = np.matmul(spectra.transpose(1, 0, 2), self.curves)
-        around = irfft(product, n=self.n_directions, axis=0)
-        return np.asarray(around[:: self.n_directions // self.bins].transpose(1, 2, 0))
-
-    def _deposit(
-        self, starts: IntArray, ranges: FloatArray, directions: FloatArray, scale: FloatArray | None
-    ) -> FloatArray:
-        """Shares summed by direction, from REACH - 1 nodes before -pi on, (rows, nodes, J)."""
-        rows, count = len(starts) - 1, len(ranges)
-        place = directions * (self.n_directions / (2.0 * np.pi))
+        counts = np.diff(starts)
+        filled = np.flatnonzero(counts)
+        if len(filled) < len(counts):
+            whole = np.zeros((len(self.curves), len(counts), self.curves.shape[2] // 2), complex)
+            if len(filled):
+                own = np.append(starts[filled], starts[-1])
+                whole[:, filled] = self.spectra(own, ranges, directions, scale)
+            return whole
+        rows = len(counts)
+        n_directions = self.bins * self.phases
+        width = n_directions + _TAPS
+        place = directions * (n_directions / (2.0 * np.pi))
         node = np.floor(place)
-        powers = np.empty((_TAPS, count))
-        powers[0] = 1.0 if scale is None else scale
         place -= node
-        for power in range(1, _TAPS):
-            np.multiply(powers[power - 1], place, out=powers[power])
-        width = self.n_directions + _TAPS
         first = node.astype(np.int32)
         first += np.repeat(
-            np.arange(rows, dtype=np.int32) * width + (self.n_directions + 1) // 2, np.diff(starts)
+            np.arange(rows, dtype=np.int32) * width + (n_directions + 1) // 2, counts
         )
-        deposit = csc_array(
+        sums = reduce(
+            np.add,
             (
-                np.matmul(powers.T, _FROM_POWERS, order="C").ravel(),
-                _following(first, _TAPS),
-                np.arange(0, _TAPS * count + 1, _TAPS, dtype=np.int32),
+                _deposit(first[part], place[part], rows * width)
+                @ self._shares_at(ranges[part], None if scale is None else scale[part])
+                for part in _parts(len(ranges))
             ),
-            shape=(rows * width, count),
-        )
-        sums = (deposit @ self._shares_at(ranges)).reshape(rows, width, -1)
+        ).reshape(rows, width, -1)
         # What lies beyond half a turn continues at its other end.
-        sums[:, :_TAPS] += sums[:, self.n_directions :]
-        return np.asarray(sums)
+        sums[:, :_TAPS] += sums[:, n_directions:]
+        by_bin = sums[:, :n_directions].reshape(rows, self.bins, -1)
+        spectra = rfft(by_bin, axis=1).view(float)
+        return np.asarray(np.matmul(spectra.transpose(1, 0, 2), self.curves).view(complex))
 
-    def _shares_at(self, ranges: FloatArray) -> FloatArray:
+    def _shares_at(self, ranges: FloatArray, scale: FloatArray | None) -> FloatArray:
         """The J shares at each range, (p, J)."""
         place = ranges / self.fine_step
         below = place.astype(np.int32)
         weights = np.empty((len(ranges), 2))
         np.subtract(place, below, out=weights[:, 1])
         np.subtract(1.0, weights[:, 1], out=weights[:, 0])
+        if scale is not None:
+            weights *= scale[:, None]
         read = csr_array(
             (
                 weights.ravel(),
@@ -137,12 +146,45 @@ class ConvolutionTable:
         return np.asarray(read @ self.shares)
 
 
+def at_bins(spectra: ComplexArray, bins: int) -> FloatArray:
+    """Evidence at the orientation bins, (frequencies, rows, n) to (rows, n, bins)."""
+    return np.asarray(irfft(spectra, n=bins, axis=0).transpose(1, 2, 0))
+
+
+def _deposit(first: npt.NDArray[np.int32], place: FloatArray, count: int) -> csc_array:
+    """How much of each measurement lies at which node, (count, p).
+
+    Args:
+        first: The first of six nodes around each measurement, (p,).
+        place: Where it lies between the third and the fourth, 0 to 1, (p,).
+        count: Nodes in all.
+    """
+    powers = np.empty((_TAPS, len(first)))
+    powers[0] = 1.0
+    for power in range(1, _TAPS):
+        np.multiply(powers[power - 1], place, out=powers[power])
+    return csc_array(
+        (
+            np.matmul(powers.T, _FROM_POWERS, order="C").ravel(),
+            _following(first, _TAPS),
+            np.arange(0, _TAPS * len(first) + 1, _TAPS, dtype=np.int32),
+        ),
+        shape=(count, len(first)),
+    )
+
+
 def _following(first: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.int32]:
     """Each number and those after it, ``count`` in all, one behind the other."""
     numbers = np.empty((len(first), count), dtype=np.int32)
     for step in range(count):
         np.add(first, step, out=numbers[:, step])
     return numbers.ravel()
+
+
+def _parts(count: int) -> Iterator[slice]:
+    """So many measurements that all there is to know of them fits the processor's cache."""
+    for start in range(0, count, _AT_ONCE):
+        yield slice(start, start + _AT_ONCE)
 
 
 def take_apart(table: LikelihoodTable) -> ConvolutionTable:
@@ -153,10 +195,9 @@ def take_apart(table: LikelihoodTable) -> ConvolutionTable:
     tall, values, wide = np.linalg.svd(flat.T, full_matrices=False)
     rank = _rank(flat, tall * values, wide)
     curves = (tall[:, :rank] * values[:rank]).reshape(n_directions, k, rank)
-    spectra = np.conj(rfft(curves, axis=0)).transpose(0, 2, 1)
     # Sums begin this many nodes before direction 0.
-    lead = (n_directions + 1) // 2 + REACH - 1
-    turn = np.exp(2j * np.pi * lead / n_directions * np.arange(len(spectra)))
+    curves = np.roll(curves, (n_directions + 1) // 2 + REACH - 1, axis=0)
+    spectra = np.conj(rfft(curves.reshape(table.bins, -1, k, rank), axis=0))
     # Between two readings a curve of bend b strays from the straight line by b / 8.
     bend = np.abs(np.diff(flat, 2, axis=0)) / error_growth(flat[None])[0, 1:-1]
     finer = max(1, int(np.ceil(np.sqrt(bend.max() / (8.0 * _READING_ERROR)))))
@@ -168,16 +209,29 @@ def take_apart(table: LikelihoodTable) -> ConvolutionTable:
     shares = exact[1:-1] - np.diff(exact, 2, axis=0) / 12.0
     return ConvolutionTable(
         bins=table.bins,
-        n_directions=n_directions,
+        phases=n_directions // table.bins,
         fine_step=table.range_step / finer,
         shares=shares,
-        curves=np.ascontiguousarray(spectra * turn[:, None, None]),
+        curves=_real_matrices(spectra.swapaxes(2, 3).reshape(len(spectra), -1, k)),
     )
 
 
+def _real_matrices(matrices: ComplexArray) -> FloatArray:
+    """Matrices that do to pairs of real numbers what others do to complex ones.
+
+    BLAS multiplies small real matrices twice as fast.
+    """
+    count, rows, columns = matrices.shape
+    real = np.empty((count, rows, 2, columns, 2))
+    real[:, :, 0, :, 0] = real[:, :, 1, :, 1] = matrices.real
+    real[:, :, 0, :, 1] = matrices.imag
+    real[:, :, 1, :, 0] = -matrices.imag
+    return real.reshape(count, 2 * rows, 2 * columns)
+
+
 def _rank(flat: FloatArray, tall: FloatArray, wide: FloatArray) -> int:
-    """How many components reproduce every row to twice the tolerance of the table."""
-    allowed = 2.0 * TOLERANCE * error_growth(flat[None])[0]
+    """How many components reproduce every row well enough."""
+    allowed = _LEFT_OUT * error_growth(flat[None])[0]
     rest = flat - tall[:, :1].T * wide[:1].T
     for rank in range(1, len(wide)):
         if np.all(np.abs(rest) <= allowed):

@@ -9,14 +9,14 @@ taken pair by pair where rows have few of them, as a convolution where they have
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import Lock
 
 import numpy as np
 
-from mclass.convolution import ConvolutionTable, take_apart
+from mclass.convolution import ConvolutionTable, at_bins, take_apart
 from mclass.footprint import Pointing
 from mclass.observation import Term, has_bearing
 from mclass.records import BoolArray, FloatArray, IntArray
@@ -27,12 +27,12 @@ _SPREADS = (0.0, 0.15, 0.3, 0.6, 1.0)
 """Standard deviations of the sensor's position [m] for which terms are tabulated."""
 
 _PAIRS_AT_ONCE = 2**13
-_TABULATED_AT_ONCE = 2**14
-_ROWS_AT_ONCE = 16
-"""Pairs and rows of which all there is to know fits the processor's cache."""
+"""Pairs that are evaluated together: all there is to know of them fits the processor's cache."""
 
-_NUMBERS_AT_ONCE = 2**16
-"""Rows of few pairs are taken together up to so many numbers, to do more work a call."""
+_CONVOLVED_AT_ONCE = 2**15
+_TRANSFORMED_AT_ONCE = 2**18
+_SPECTRA_AT_ONCE = 2**16
+"""Pairs, numbers to be transformed, and numbers added for each pair, for the same reason."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,18 @@ class Pairs:
             scale=None if self.scale is None else self.scale[kept],
         )
 
+    def within(self, rows: slice) -> Pairs:
+        """Only the pairs of some of the rows, and these rows alone."""
+        starts = self.starts[rows.start : rows.stop + 1]
+        own = slice(starts[0], starts[-1])
+        return Pairs(
+            starts=starts - starts[0],
+            looks=self.looks[own],
+            ranges=self.ranges[own],
+            directions=self.directions[own],
+            scale=None if self.scale is None else self.scale[own],
+        )
+
     def weighed(self, weights: FloatArray) -> Pairs:
         """Pairs of positive weight, (p,), their scale multiplied by it."""
         positive = weights > 0.0
@@ -79,6 +91,11 @@ class Pairs:
     def counts(self) -> IntArray:
         """Pairs in each row, (rows,)."""
         return np.diff(self.starts)
+
+    @property
+    def columns(self) -> tuple[IntArray, FloatArray, FloatArray, FloatArray | None]:
+        """What tables are read with: starts, ranges, directions, scale."""
+        return self.starts, self.ranges, self.directions, self.scale
 
 
 @dataclass(frozen=True)
@@ -107,6 +124,29 @@ class Evidence:
     def select(self, rows: IntArray) -> Evidence:
         """Only the given rows."""
         return Evidence(self.classes[rows], self.background[rows], self.looks[rows])
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Pairs that add a term, over all rows, with its tables.
+
+    Attributes:
+        classes: Those that the term tells of.
+        few: For rows of few pairs.
+        many: For rows of many.
+        pairs: Those that add the term.
+    """
+
+    classes: IntArray | slice
+    few: SpectralTable
+    many: ConvolutionTable
+    pairs: Pairs
+
+    @property
+    def is_many(self) -> bool:
+        """Whether to convolve; rows without pairs do not count."""
+        rows = int(np.count_nonzero(self.pairs.counts))
+        return _many(self.few, self.many, rows, len(self.pairs.looks))
 
 
 @dataclass
@@ -155,9 +195,10 @@ class Engine:
         rows = len(pairs.starts) - 1
         classes = np.zeros((rows, self.n_classes, self.bins))
         background = np.zeros(rows)
+        tabulated: list[_Part] = []
         for index in self._present(pairs.looks):
             term = self.terms[index]
-            chosen = pairs.weighed(self.term_weights[:, index].take(pairs.looks))
+            chosen = self._adding(index, pairs)
             weights = _row_weights(chosen)
             background += weights * term.background
             others = np.ones(self.n_classes, dtype=bool)
@@ -172,16 +213,33 @@ class Engine:
             if exact or has_bearing(term):
                 classes[:, term.classes] += self._direct(term, chosen)
             else:
-                self._add_tabulated(term, chosen, classes)
+                tabulated += self._tabulated(term, chosen)
+        self._add_tabulated(tabulated, classes, pairs.starts)
         return Evidence(classes, background, pairs.counts)
 
     def _present(self, looks: IntArray) -> IntArray:
         """Terms that some of the looks add."""
-        if not len(looks):
-            return np.zeros(0, dtype=np.int64)
-        first = looks.min()
-        different = first + np.flatnonzero(np.bincount(looks - first))
-        return np.flatnonzero(self.term_weights[different].any(axis=0))
+        seen = np.zeros(len(self.term_weights), dtype=bool)
+        seen[looks] = True
+        return np.flatnonzero(self._adds[:, seen].any(axis=1))
+
+    def _adding(self, index: int, pairs: Pairs) -> Pairs:
+        """Pairs whose looks add a term, their scale multiplied by how much."""
+        chosen = pairs.select(self._adds[index].take(pairs.looks))
+        if self._in_full[index]:
+            return chosen
+        weights = self.term_weights[chosen.looks, index]
+        return replace(chosen, scale=weights if chosen.scale is None else chosen.scale * weights)
+
+    @cached_property
+    def _adds(self) -> BoolArray:
+        """Whether looks add terms, (terms, looks)."""
+        return np.ascontiguousarray(self.term_weights.T > 0.0)
+
+    @cached_property
+    def _in_full(self) -> BoolArray:
+        """Terms that looks add in full or not at all, (terms,)."""
+        return np.asarray(((self.term_weights == 0.0) | (self.term_weights == 1.0)).all(axis=0))
 
     def _direct(self, term: Term, pairs: Pairs) -> FloatArray:
         """Evaluate a term for every pair and bin and sum over rows, (rows, k, bins)."""
@@ -207,19 +265,30 @@ class Engine:
                 total[owners[part][first]] += np.add.reduceat(values, first, axis=0)
         return total
 
-    def _add_tabulated(self, term: Term, pairs: Pairs, classes: FloatArray) -> None:
-        """Add a term to rows, (rows, n, bins), as S @ D."""
+    def _tabulated(self, term: Term, pairs: Pairs) -> Iterator[_Part]:
+        """Pairs of a term with the tables that hold them."""
+        classes = slice(None) if len(term.classes) == self.n_classes else term.classes
         for level, part in self._by_spread(pairs):
-            few, many = self._table(term, float(part.ranges.max()), level)
-            for rows, own, starts in _blocks(part.starts, self.bins * len(term.classes)):
-                scale = None if part.scale is None else part.scale[own]
-                chosen = (starts, part.ranges[own], part.directions[own], scale)
-                table = many if _many(few, many, len(starts) - 1, len(chosen[1])) else few
-                sums = table.sums(*chosen)
-                if len(term.classes) == self.n_classes:
-                    classes[rows] += sums
-                else:
-                    classes[rows, term.classes] += sums
+            yield _Part(classes, *self._table(term, float(part.ranges.max()), level), part)
+
+    def _add_tabulated(self, parts: Sequence[_Part], classes: FloatArray, starts: IntArray) -> None:
+        """Add terms to rows, (rows, n, bins); their pairs in all start where stated."""
+        for part in parts:
+            if not part.is_many:
+                for rows in _blocks(part.pairs.starts, _SPECTRA_AT_ONCE // part.few.size):
+                    sums = part.few.sums(*part.pairs.within(rows).columns)
+                    classes[rows, part.classes] += sums
+        convolved = [part for part in parts if part.is_many]
+        if not convolved:
+            return
+        size = max(part.many.size for part in convolved)
+        for rows in _blocks(starts, _CONVOLVED_AT_ONCE, max(1, _TRANSFORMED_AT_ONCE // size)):
+            shape = (self.bins // 2 + 1, rows.stop - rows.start, self.n_classes)
+            spectra = np.zeros(shape, dtype=complex)
+            for part in convolved:
+                own = part.pairs.within(rows)
+                spectra[..., part.classes] += part.many.spectra(*own.columns)
+            classes[rows] += at_bins(spectra, self.bins)
 
     def _table(
         self, term: Term, farthest: float, spread: int
@@ -281,26 +350,20 @@ def _row_weights(pairs: Pairs) -> FloatArray:
     return np.asarray(sums[pairs.starts[1:]] - sums[pairs.starts[:-1]])
 
 
-def _blocks(starts: IntArray, width: int) -> Iterator[tuple[slice, slice, IntArray]]:
-    """Cut rows and their pairs into blocks; a row with too many pairs is in several.
+def _blocks(starts: IntArray, most_pairs: int, most_rows: int | None = None) -> Iterator[slice]:
+    """Cut rows into blocks.
 
     Args:
         starts: Row ``i`` owns pairs ``starts[i]:starts[i + 1]``, (rows + 1,).
-        width: Numbers that a pair adds to a row.
-
-    Yields:
-        The rows, the pairs, and where among the pairs those of each row start.
+        most_pairs: Of a block of more than one row.
+        most_rows: Of a block.
     """
-    first_pair = 0
-    while first_pair < starts[-1]:
-        first = int(np.searchsorted(starts, first_pair, side="right")) - 1
-        few = int(np.searchsorted(starts, first_pair + _NUMBERS_AT_ONCE // width))
-        after = min(max(first + _ROWS_AT_ONCE, few), len(starts) - 1)
-        last_pair = int(min(starts[after], first_pair + _TABULATED_AT_ONCE))
-        last = int(np.searchsorted(starts, last_pair))
-        own = np.clip(starts[first : last + 1], first_pair, last_pair) - first_pair
-        yield slice(first, last), slice(first_pair, last_pair), own
-        first_pair = last_pair
+    first, rows = 0, len(starts) - 1
+    while first < rows:
+        fitting = int(np.searchsorted(starts, starts[first] + most_pairs, side="right")) - 1
+        last = min(max(fitting, first + 1), first + (most_rows or rows), rows)
+        yield slice(first, last)
+        first = last
 
 
 def _many(few: SpectralTable, many: ConvolutionTable, rows: int, pairs: int) -> bool:

@@ -257,22 +257,22 @@ def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
         cell_size: Edge length [m].
         pointing: The detections, (k,).
     """
-    offset_x = centers[:, None, 0] - pointing.positions[None, :, 0]
-    offset_y = centers[:, None, 1] - pointing.positions[None, :, 1]
+    offset_x = pointing.positions[:, 0] - centers[:, None, 0]
+    offset_y = pointing.positions[:, 1] - centers[:, None, 1]
     # Not np.hypot: what it guards against cannot happen here, and it takes seven times as long.
     ranges = np.sqrt(offset_x * offset_x + offset_y * offset_y)
-    directions = np.arctan2(-offset_y, -offset_x)
+    directions = np.arctan2(offset_y, offset_x)
     widths = pointing.widths
-    # How far to the left of the right edge: both angles are within one turn, so one turn mends it.
+    # How far to the left of the right edge, perhaps less a turn: both angles are within one.
     from_right = directions - wrap_angle(pointing.directions[:, 0] + np.pi)
-    from_right += np.where(from_right < 0.0, 2.0 * np.pi, 0.0)
-    inside = from_right <= widths
+    inside = (from_right >= 0.0) & (from_right <= widths)
+    inside |= from_right <= widths - 2.0 * np.pi
     inside &= (ranges >= pointing.min_range) & (ranges <= pointing.max_range)
     is_ray = np.flatnonzero(widths < _NO_WIDTH)
     if len(is_ray):
         axes = pointing.axes[is_ray]
         inside[:, is_ray] = _segment_meets_square(
-            offset_x[:, is_ray], offset_y[:, is_ray], axes, cell_size / 2.0 + _BORDER, pointing
+            -offset_x[:, is_ray], -offset_y[:, is_ray], axes, cell_size / 2.0 + _BORDER, pointing
         )
     return Sight(ranges, directions, inside)
 

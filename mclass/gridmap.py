@@ -168,15 +168,13 @@ def _cumulative(
     engine: Engine, looks: Looks, tile: Tile, pairs: Pairs, cuts_ns: Sequence[int]
 ) -> Iterator[tuple[IntArray, IntArray, Evidence]]:
     """A tile's touched cells, how many detections pointed at each, and their evidence by cut."""
-    owners = np.repeat(np.arange(len(tile.cells)), pairs.counts)
-    is_detection = pairs.looks < looks.n_detections
-    stamps = looks.stamps_ns[pairs.looks]
+    cut_of_look = np.searchsorted(cuts_ns, looks.stamps_ns)
+    pointed = np.zeros(len(tile.cells), dtype=np.int64)
     total: Evidence | None = None
-    before = np.iinfo(np.int64).min
-    for cut in cuts_ns:
-        part = engine.evidence(pairs.select((stamps > before) & (stamps <= cut)))
-        total = part if total is None else total + part
+    for number in range(len(cuts_ns)):
+        part = pairs.select(cut_of_look.take(pairs.looks) == number)
+        evidence = engine.evidence(part)
+        total = evidence if total is None else total + evidence
+        pointed = pointed + part.select(part.looks < looks.n_detections).counts
         kept = np.flatnonzero(total.looks)
-        pointed = np.bincount(owners[is_detection & (stamps <= cut)], minlength=len(tile.cells))
         yield tile.cells[kept], pointed[kept], total.select(kept)
-        before = cut

@@ -116,13 +116,21 @@ def joined_pairs(
 ) -> Pairs:
     """Pairs of cells and looks where the masks hold, cell by cell."""
     mask = np.concatenate(masks, axis=1)
-    cell, column = np.nonzero(mask)
+    # Found and taken as if in one row: several times faster than in two dimensions.
+    flat = np.flatnonzero(mask)
+    before = np.arange(len(mask) + 1) * mask.shape[1]
+    starts = np.searchsorted(flat, before)
+
+    def taken(parts: list[FloatArray]) -> FloatArray:
+        joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        return joined.ravel().take(flat)
+
     return Pairs(
-        starts=np.searchsorted(cell, np.arange(len(mask) + 1)),
-        looks=np.concatenate(looks)[column],
-        ranges=np.concatenate([part.ranges for part in seen], axis=1)[mask],
-        directions=np.concatenate([part.directions for part in seen], axis=1)[mask],
-        scale=None if scales is None else np.concatenate(scales, axis=1)[mask],
+        starts=starts,
+        looks=np.concatenate(looks).take(flat - np.repeat(before[:-1], np.diff(starts))),
+        ranges=taken([part.ranges for part in seen]),
+        directions=taken([part.directions for part in seen]),
+        scale=None if scales is None else taken(scales),
     )
 
 
