@@ -11,7 +11,7 @@ import numpy as np
 from mclass.errors import ModelError
 from mclass.footprint import TILE_CELLS, tiles
 from mclass.inference import Problem
-from mclass.objects import pointed_cells
+from mclass.objects import FILTER_BYTES, pointed_cells
 from mclass.records import FloatArray, IntArray
 
 _BASE = 200 * 2**20
@@ -109,7 +109,8 @@ def memory_needed(
     at_work = TILE_CELLS * belief * 2 * (n_cuts + 1) * 2 * threads
     if candidates is None:
         candidates = int(min(touched, _by_object(problem, areas)))
-    followed = candidates * belief * _OBJECT_COPIES
+    at_once = max(1, problem.model.inference.trajectory_samples) if candidates else 0
+    followed = at_once * (candidates * belief * _OBJECT_COPIES + FILTER_BYTES)
     return Need(cells, touched, _BASE + maps + probabilities + at_work + followed)
 
 
@@ -125,9 +126,18 @@ def _cells_pointed_at(problem: Problem) -> FloatArray:
     return np.asarray(np.where(pointed, sector + border + 1.0, 0.0))
 
 
+def _owners(problem: Problem) -> IntArray:
+    """Which object each detection may be of, -1 for none, (n detections,)."""
+    owners: IntArray = problem.measurements.object_index
+    if problem.model.inference.association and (owners < 0).all():
+        # Which are of one object is found out later: perhaps all of them.
+        return np.zeros_like(owners)
+    return owners
+
+
 def _by_object(problem: Problem, areas: FloatArray) -> float:
     """Cells that the detections of the object with most of them point at."""
-    owners: IntArray = problem.measurements.object_index
+    owners = _owners(problem)
     owned = owners >= 0
     if not owned.any():
         return 0.0
@@ -137,9 +147,9 @@ def _by_object(problem: Problem, areas: FloatArray) -> float:
 def _most_candidates(problem: Problem) -> int:
     """Cells that detections of one object point at, of the object with most of them."""
     assert problem.grid is not None
-    owners = problem.measurements.object_index
+    owners = _owners(problem)
     most = 0
-    for index in range(len(problem.measurements.object_ids)):
+    for index in range(int(owners.max(initial=-1)) + 1):
         found = pointed_cells(problem.grid, problem.looks.pointing, np.flatnonzero(owners == index))
         most = max(most, 0 if found is None else len(found.cells))
     return most

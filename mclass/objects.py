@@ -35,6 +35,9 @@ _WEIGHTS_AT_ONCE = 2**21
 _NUMBERS_AT_ONCE = 2**20
 """Of the beliefs after each step of a block, unless one step has more."""
 
+FILTER_BYTES = 8 * (_WEIGHTS_AT_ONCE + 4 * _NUMBERS_AT_ONCE)
+"""What an `ObjectFilter` holds, about, besides a few copies of its belief."""
+
 
 @dataclass(frozen=True)
 class Candidates:

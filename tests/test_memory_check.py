@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from models import measurements_of, toy_model
 
@@ -12,12 +13,18 @@ from mclass import memory
 from mclass.errors import ModelError
 from mclass.inference import Problem, prepare
 from mclass.memory import available_bytes, memory_needed, require_memory
-from mclass.model import GridSettings, Model
+from mclass.model import PAPER, ROBUST, GridSettings, InferenceSettings, Model
 
 GIGABYTE = 10**9
 
 
-def problem_of(cell_size: float = 0.1, bins: int = 72, size: float = 20.0) -> Problem:
+def problem_of(
+    cell_size: float = 0.1,
+    bins: int = 72,
+    size: float = 20.0,
+    inference: InferenceSettings = PAPER,
+    ids: bool = False,
+) -> Problem:
     model = Model(
         name="hall.yaml",
         source="",
@@ -26,6 +33,7 @@ def problem_of(cell_size: float = 0.1, bins: int = 72, size: float = 20.0) -> Pr
         grid=GridSettings(
             cell_size=cell_size, orientation_bins=bins, origin=(0.0, 0.0), size=(size, size)
         ),
+        inference=inference,
     )
     measurements = measurements_of(
         [[5.0, 5.0, 0.0], [15.0, 12.0, 2.0]],
@@ -33,6 +41,8 @@ def problem_of(cell_size: float = 0.1, bins: int = 72, size: float = 20.0) -> Pr
         [[-0.3, 0.3], [1.8, 2.2]],
         label_names=("c1", "c2"),
     )
+    if ids:
+        measurements = replace(measurements, object_index=np.array([0, 1]), object_ids=("a", "b"))
     return prepare(model, measurements)
 
 
@@ -54,6 +64,27 @@ def test_needs_more_for_more_maps_and_threads() -> None:
     once = memory_needed(problem_of(), 1, 1).n_bytes
     assert memory_needed(problem_of(), 50, 1).n_bytes > once
     assert memory_needed(problem_of(), 1, 8).n_bytes > once
+
+
+def test_needs_more_to_follow_objects() -> None:
+    alone = replace(ROBUST, association=False)
+    grid = memory_needed(problem_of(inference=alone), 1, 1).n_bytes
+    by_id = memory_needed(problem_of(inference=alone, ids=True), 1, 1).n_bytes
+    # Without ids all detections may turn out to be of one object.
+    by_group = memory_needed(problem_of(inference=ROBUST), 1, 1).n_bytes
+    assert grid < by_id < by_group
+    assert memory_needed(problem_of(inference=ROBUST, ids=True), 1, 1).n_bytes == by_id
+    drifting = replace(alone, trajectory_samples=8)
+    assert memory_needed(problem_of(inference=drifting, ids=True), 1, 1).n_bytes > by_id
+
+
+def test_refuses_groups_that_would_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = problem_of(inference=ROBUST)
+    found = memory_needed(problem, 1, 1, candidates=0).n_bytes
+    monkeypatch.setattr(memory, "available_bytes", lambda: found)
+    with pytest.raises(ModelError, match="does not fit"):
+        require_memory(problem, 1, 1)
+    require_memory(problem_of(inference=replace(ROBUST, association=False)), 1, 1)
 
 
 def test_refuses_with_numbers_and_advice(monkeypatch: pytest.MonkeyPatch) -> None:

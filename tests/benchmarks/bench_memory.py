@@ -11,19 +11,21 @@ from .process import mclass
 from .tables import Row
 
 CASES = (
-    ("paper", 1_000, 0, 0.1, 72),
-    ("paper", 30_000, 0, 0.1, 72),
-    ("paper", 1_000, 300, 0.1, 72),
-    ("paper", 1_000, 0, 0.03, 72),
-    ("paper", 1_000, 0, 0.1, 360),
-    ("robust", 200, 0, 0.1, 72),
+    ("paper", False, 1_000, 0, 0.1, 72),
+    ("paper", False, 30_000, 0, 0.1, 72),
+    ("paper", False, 1_000, 300, 0.1, 72),
+    ("paper", False, 1_000, 0, 0.03, 72),
+    ("paper", False, 1_000, 0, 0.1, 360),
+    ("robust", True, 200, 0, 0.1, 72),
+    ("robust", True, 2_000, 0, 0.1, 72),
+    ("robust", False, 200, 0, 0.1, 72),
 )
+"""Preset, ids, detections, images, cell size [m], orientation bins."""
 
 
 def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
     rows = []
-    for preset, pairs, images, cell_size, bins in CASES:
-        ids = preset == "robust"
+    for preset, ids, pairs, images, cell_size, bins in CASES:
         log, output, model = folder / "log.mcap", folder / "out.mcap", folder / "model.yaml"
         log.unlink(missing_ok=True)
         generated.write_ros(log, pairs, boxes=1, ids=ids, images=images, size=2**20)
