@@ -17,6 +17,7 @@ import numpy.typing as npt
 from mclass.errors import LogError
 from mclass.logs.decode import ChannelDecoder, Column, decoder_for
 from mclass.logs.reader import ChannelInfo, LogReader, MessageBatch
+from mclass.logs.together import together
 from mclass.records import FloatArray, IntArray
 
 _Found = TypeVar("_Found")
@@ -226,7 +227,7 @@ def read_tables(
     failures: dict[int, dict[str, int]] = {key: {} for key in channels}
     if not channels:
         return {}
-    for batch in reader.batches(list(channels), start_ns, end_ns):
+    for batch in together(reader.batches(list(channels), start_ns, end_ns)):
         key = batch.channel.id
         columns = decoders.of(batch.channel).columns(batch, paths[key])
         times[key].append(batch.log_times_ns[columns.rows])
