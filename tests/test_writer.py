@@ -37,6 +37,7 @@ from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
 from mclass.errors import LogError
+from mclass.logs import pending
 from mclass.logs.reader import LogReader
 from mclass.logs.writer import LogWriter
 
@@ -469,6 +470,32 @@ class TestAllOrNothing:
         with pytest.raises(LogError, match=r"no space left.*Make room"):
             extend(source, tmp_path / "out.mcap")
         assert list(tmp_path.iterdir()) == [source]
+
+    def test_disk_that_is_full_before_the_end(
+        self, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        flush = os.fsync
+        told: list[int] = []
+
+        def full_once(file: int) -> None:
+            if not told:
+                told.append(file)
+                raise OSError(errno.ENOSPC, "No space left on device")
+            flush(file)
+
+        monkeypatch.setattr(os, "fsync", full_once)
+        monkeypatch.setattr(pending, "_FLUSHED_EARLY", 1)
+        with pytest.raises(LogError, match=r"no space left.*Make room"):
+            extend(source, tmp_path / "out.mcap")
+        assert list(tmp_path.iterdir()) == [source]
+
+    def test_early_flush_changes_nothing(
+        self, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        extend(source, tmp_path / "late.mcap")
+        monkeypatch.setattr(pending, "_FLUSHED_EARLY", 1)
+        extend(source, tmp_path / "early.mcap")
+        assert (tmp_path / "early.mcap").read_bytes() == (tmp_path / "late.mcap").read_bytes()
 
     def test_source_that_shrinks(
         self, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

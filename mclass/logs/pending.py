@@ -9,6 +9,7 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from mclass.errors import LogError
@@ -17,6 +18,8 @@ from mclass.logs.source import Source
 
 _COPY_STEP = 1 << 26
 _READ_STEP = 1 << 20
+# Less than this is on the disk in no time.
+_FLUSHED_EARLY = 1 << 26
 _NAME_CHARACTERS = 40
 _NO_HARD_LINKS = frozenset(
     {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL, errno.EXDEV}
@@ -45,6 +48,8 @@ class PendingFile:
         self._source = source
         self._file = -1
         self._part: Path | None = None
+        self._flusher: ThreadPoolExecutor | None = None
+        self._flushed: Future[None] | None = None
         with self._errors():
             self._target = Path(os.path.realpath(output))
             self._check()
@@ -124,6 +129,10 @@ class PendingFile:
             self.write(block)
             position += len(block)
             done(position)
+        if end - start >= _FLUSHED_EARLY and self._flusher is None:
+            # The disk works while what follows is computed, not only at the end.
+            self._flusher = ThreadPoolExecutor(max_workers=1)
+            self._flushed = self._flusher.submit(os.fsync, self._file)
 
     def publish(self) -> None:
         """Flush everything to the disk and give the file its name.
@@ -133,6 +142,9 @@ class PendingFile:
         """
         assert self._part is not None
         with self._errors():
+            if self._flushed is not None:
+                # What fails to reach the disk is told once, to whoever asks first.
+                self._flushed.result()
             os.fsync(self._file)
             self._close()
             self._check()
@@ -205,6 +217,9 @@ class PendingFile:
             return 0
 
     def _close(self) -> None:
+        if self._flusher is not None:
+            self._flusher.shutdown()
+            self._flusher = None
         if self._file >= 0:
             file, self._file = self._file, -1
             os.close(file)

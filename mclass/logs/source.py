@@ -17,7 +17,8 @@ from mclass.logs.in_place import recover
 
 MAGIC = b"\x89MCAP0\r\n"
 
-_HASH_BLOCK = 1 << 20
+# Large: a thread that hashes waits for the interpreter between blocks.
+_HASH_BLOCK = 1 << 23
 _SPOOL_BLOCK = 1 << 20
 
 _OTHER_FORMATS = (
