@@ -15,6 +15,7 @@ from functools import cached_property
 from threading import Lock
 
 import numpy as np
+from numpy.fft import irfft
 
 from mclass.convolution import ConvolutionTable, at_bins, take_apart
 from mclass.footprint import Pointing
@@ -31,7 +32,7 @@ _PAIRS_AT_ONCE = 2**13
 
 _CONVOLVED_AT_ONCE = 2**15
 _TRANSFORMED_AT_ONCE = 2**18
-_SPECTRA_AT_ONCE = 2**16
+_SPECTRA_AT_ONCE = 2**17
 """Pairs, numbers to be transformed, and numbers added for each pair, for the same reason."""
 
 
@@ -273,11 +274,17 @@ class Engine:
 
     def _add_tabulated(self, parts: Sequence[_Part], classes: FloatArray, starts: IntArray) -> None:
         """Add terms to rows, (rows, n, bins); their pairs in all start where stated."""
-        for part in parts:
-            if not part.is_many:
-                for rows in _blocks(part.pairs.starts, _SPECTRA_AT_ONCE // part.few.size):
-                    sums = part.few.sums(*part.pairs.within(rows).columns)
-                    classes[rows, part.classes] += sums
+        read = [part for part in parts if not part.is_many]
+        most = _SPECTRA_AT_ONCE // max((part.few.size for part in read), default=1)
+        for rows in _blocks(starts, most, most) if read else ():
+            shape = (rows.stop - rows.start, self.n_classes, self.bins // 2 + 1)
+            spectra = np.zeros(shape, dtype=complex)
+            for part in read:
+                own = part.pairs.within(rows)
+                if len(own.looks):
+                    found = part.few.spectra_of(*own.columns)
+                    spectra[:, part.classes, : found.shape[-1]] += found
+            classes[rows] += irfft(spectra, n=self.bins)
         convolved = [part for part in parts if part.is_many]
         if not convolved:
             return

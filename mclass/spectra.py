@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numpy.fft import irfft, rfft
+from numpy.fft import rfft
 from scipy.sparse import csr_array
 
 from mclass.records import FloatArray, IntArray
@@ -29,8 +29,6 @@ class SpectralTable:
 
     Attributes:
         bins: Orientation bins.
-        samples: Angles around the circle at which spectra are transformed back, a multiple of
-            the bins, not less than there are frequencies.
         n_directions: Direction nodes around the circle.
         range_step: Distance between range nodes [m]; the first is ``REACH`` before range 0.
         spectra: Of the curve at each range node, (range nodes, k, frequencies).
@@ -40,7 +38,6 @@ class SpectralTable:
     """
 
     bins: int
-    samples: int
     n_directions: int
     range_step: float
     spectra: ComplexArray
@@ -53,21 +50,20 @@ class SpectralTable:
         """Numbers that a measurement adds to a row."""
         return int(np.prod(self.spectra.shape[1:]))
 
-    def sums(
+    def spectra_of(
         self, starts: IntArray, ranges: FloatArray, directions: FloatArray, scale: FloatArray | None
-    ) -> FloatArray:
-        """Evidence of every row, (rows, k, bins); arguments as of `ConvolutionTable.sums`."""
+    ) -> ComplexArray:
+        """Spectra over orientation of every row's evidence, (rows, k, lowest frequencies).
+
+        Arguments as of `ConvolutionTable.spectra`.
+        """
         shape = (-1, *self.spectra.shape[1:])
         spectra = np.asarray(self._at(ranges, scale) @ _real(self.spectra))
         spectra = spectra.view(complex).reshape(shape)
         spectra *= self._waves(directions)[:, None, :]
-        filled = np.flatnonzero(np.diff(starts))
-        own = np.arange(len(ranges), dtype=np.int32), np.append(starts[filled], len(ranges))
-        belongs = csr_array((np.ones(len(ranges)), *own), shape=(len(filled), len(ranges)))
-        rows = np.asarray(belongs @ _real(spectra)).view(complex).reshape(shape)
-        sums = np.zeros((len(starts) - 1, shape[1], self.bins))
-        sums[filled] = self._at_bins(rows)
-        return sums
+        own = np.arange(len(ranges), dtype=np.int32), starts
+        belongs = csr_array((np.ones(len(ranges)), *own), shape=(len(starts) - 1, len(ranges)))
+        return self._folded(np.asarray(belongs @ _real(spectra)).view(complex).reshape(shape))
 
     def _at(self, ranges: FloatArray, scale: FloatArray | None) -> csr_array:
         """Weights of the range nodes at each range, (p, range nodes)."""
@@ -92,13 +88,21 @@ class SpectralTable:
         waves *= self.far.take(far, axis=0)
         return np.asarray(waves)
 
-    def _at_bins(self, spectra: ComplexArray) -> FloatArray:
-        """Curves at the bins, (..., frequencies) to (..., bins); the spectra are changed."""
-        count, first = spectra.shape[-1], (self.samples + 1) // 2
-        # At so few samples, higher frequencies look like lower ones the other way round.
-        higher = spectra[..., : first - 1 : -1].conj()
-        spectra[..., self.samples - count + 1 : self.samples - first + 1] += higher
-        return irfft(spectra, n=self.samples)[..., :: self.samples // self.bins]
+    def _folded(self, spectra: ComplexArray) -> ComplexArray:
+        """Spectra as they are seen at the bins, where high frequencies look like lower ones."""
+        count, seen = spectra.shape[-1], self.bins // 2 + 1
+        if count < seen:
+            return spectra
+        folded = np.zeros((*spectra.shape[:-1], seen), dtype=complex)
+        for first in range(0, count, self.bins):
+            low = spectra[..., first : first + seen]
+            folded[..., : low.shape[-1]] += low
+            # And some of them look the other way round.
+            top, bottom = min(first + self.bins, count - 1), first + self.bins - seen + 1
+            if top >= bottom:
+                mirrored = spectra[..., top : bottom - 1 : -1].conj()
+                folded[..., first + self.bins - top :] += mirrored
+        return folded
 
 
 def spectral_table(table: LikelihoodTable) -> SpectralTable:
@@ -114,15 +118,13 @@ def spectral_table(table: LikelihoodTable) -> SpectralTable:
     heights = 2.0 * np.abs(spectra) * np.abs(at_node.T @ taps)[:, :, None]
     left_out = np.cumsum(heights[:, ::-1], axis=1)[:, ::-1].max(axis=(0, 2))
     count = max(1, int(np.count_nonzero(left_out > TOLERANCE)))
-    samples = table.bins * -(-count // table.bins)
     near = np.arange(int(np.sqrt(n_directions)))
     far = np.arange(0, n_directions, len(near))
     return SpectralTable(
         bins=table.bins,
-        samples=samples,
         n_directions=n_directions,
         range_step=table.range_step,
-        spectra=np.ascontiguousarray(samples * spectra[:, :count].transpose(0, 2, 1)),
+        spectra=np.ascontiguousarray(table.bins * spectra[:, :count].transpose(0, 2, 1)),
         taps=_waves(_TAPS, count, n_directions),
         near=_waves(near, count, n_directions),
         far=_waves(far, count, n_directions),

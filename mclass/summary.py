@@ -23,6 +23,7 @@ NEGLIGIBLE = 25.0
 """Cells whose log belief is this far below the best are left out of summaries."""
 
 _TIE = 1e-6
+_EQUAL = 1e-9
 _FINE_BINS = 576
 """Orientations at which modes are sought, at least."""
 
@@ -158,7 +159,7 @@ def _orientation_marginals(readout: Readout) -> Iterator[FloatArray]:
 def _highest(density: FloatArray) -> float:
     """Orientation [rad] where a density is greatest, found between its samples."""
     # Equal peaks differ by rounding: the smaller angle is taken.
-    peak = int(np.argmax(density >= density.max() * (1.0 - 1e-9)))
+    peak = int(np.argmax(density >= density.max() * (1.0 - _EQUAL)))
     with np.errstate(divide="ignore", invalid="ignore"):
         around = np.log(density[np.arange(peak - 1, peak + 2) % len(density)])
         angle = 2.0 * np.pi / len(density) * (peak + parabola_vertex(*around))
@@ -183,7 +184,8 @@ def _joint_map(readout: Readout) -> tuple[int, float, float, float]:
     factor = max(1, _FINE_BINS // readout.log_likelihood.shape[-1])
     fine = refine(readout.log_likelihood[cells, classes], factor)
     fine += readout.log_outer[cells, classes, None]
-    winner, angle = np.unravel_index(int(np.argmax(fine)), fine.shape)
+    # Of peaks that are equal but for rounding, the first is taken.
+    winner, angle = np.unravel_index(int(np.argmax(fine >= fine.max() - _EQUAL)), fine.shape)
     curve = fine[winner]
     vertex = parabola_vertex(*curve[np.arange(angle - 1, angle + 2) % len(curve)])
     x, y = readout.centers[cells[winner]]
