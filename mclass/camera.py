@@ -34,12 +34,15 @@ class Calibrations:
         intrinsics: fx, fy, cx, cy [pixel], (n, 4).
         coefficients: Of the distortion model, in its own order, (n, k).
         image_sizes: Width and height [pixel], (n, 2); 0 if unknown.
+        rotations: Turn rays of the pixels into the optical frame, (n, 3, 3); None where both
+            are one.
     """
 
     model: str
     intrinsics: FloatArray
     coefficients: FloatArray
     image_sizes: FloatArray
+    rotations: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.intrinsics)
@@ -95,7 +98,19 @@ def pixel_rays(
             f"distortion model {calibrations.model!r} is unknown; known are plumb_bob, "
             "rational_polynomial and equidistant (fisheye, kannala_brandt)"
         )
+    if calibrations.rotations is not None:
+        turns = np.where(usable[:, None, None], calibrations.rotations, np.eye(3))
+        rays = np.einsum("nij,nj->ni", turns[rows], rays)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True), good & solved
+
+
+def are_rotations(matrices: FloatArray) -> BoolArray:
+    """Which of (n, 3, 3) matrices are rotations, as far as a calibration file's digits go."""
+    safe = np.where(np.abs(matrices) <= 2.0, matrices, 0.0)
+    products = np.einsum("nij,nkj->nik", safe, safe)
+    return np.asarray(
+        (np.abs(products - np.eye(3)) < 1e-3).all(axis=(1, 2)) & (np.linalg.det(safe) > 0)
+    )
 
 
 def azimuths(vectors: FloatArray) -> tuple[FloatArray, BoolArray]:

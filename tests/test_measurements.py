@@ -263,7 +263,10 @@ def test_covariances_are_planar_and_swing_with_the_lever(log: SceneLog) -> None:
     contents = read(log.close())
     assert contents.track.covariances is not None
     np.testing.assert_allclose(contents.track.covariances[:, 0, 0], [0.1, 0.1, 0.1, 0.3])
-    assert contents.pose_tally.counts == {"covariance not positive semi-definite (left out)": 2}
+    assert contents.pose_tally.counts == {
+        "covariance not finite (left out)": 1,
+        "covariance not positive semi-definite (left out)": 1,
+    }
     sensor = contents.measurements.frames.covariances
     assert sensor is not None
     # y of the sensor is y + 2 heading: 0.2 + 2 * 2 * 0.02 + 4 * 0.01.
@@ -278,6 +281,28 @@ def test_covariances_left_zero_are_unknown(log: SceneLog) -> None:
     contents = read(log.close())
     assert contents.track.covariances is None
     assert contents.measurements.frames.covariances is None
+
+
+def test_covariances_that_are_all_nan_are_counted(log: SceneLog) -> None:
+    for step in range(4):
+        log.odometry(step / 10, 1.0, 2.0, 0.0, covariance=[math.nan] * 36)
+    log.detections(0.1, [])
+    contents = read(log.close())
+    assert contents.track.covariances is None
+    assert contents.pose_tally.counts == {"covariance not finite (left out)": 4}
+
+
+def test_covariances_not_told_are_those_told_before(log: SceneLog) -> None:
+    unknown = [-1.0] + [0.0] * 35
+    for step, covariance in enumerate(
+        (unknown, _covariance(0.1, 0.2, 0.01), [0.0] * 36, unknown, _covariance(0.3, 0.2, 0.01))
+    ):
+        log.odometry(step / 10, 1.0, 2.0, 0.0, covariance=covariance)
+    log.detections(0.1, [])
+    contents = read(log.close())
+    assert contents.track.covariances is not None
+    assert contents.track.covariances[:, 0, 0].tolist() == [0.1, 0.1, 0.1, 0.1, 0.3]
+    assert contents.pose_tally.counts == {}
 
 
 def test_frames_without_detections_stay(log: SceneLog) -> None:
@@ -595,6 +620,45 @@ def test_rectified_images_have_the_intrinsics_of_p(
     distorted = read(path)
     assert abs(distorted.measurements.directions[0, 0] - expected[0]) > 0.002
     assert not any("rectified" in note for note in distorted.notes)
+
+
+def test_rectified_images_are_turned_back_by_r(log: SceneLog) -> None:
+    """Turned by 0.1 about the camera's y (down): its view to the right by 0.1, and rolled."""
+    standing_robot(log)
+    turn, roll = 0.1, 0.3
+    about_y = [[math.cos(turn), 0, -math.sin(turn)], [0, 1, 0], [math.sin(turn), 0, math.cos(turn)]]
+    about_z = [[math.cos(roll), math.sin(roll), 0], [-math.sin(roll), math.cos(roll), 0], [0, 0, 1]]
+    r = (np.array(about_z) @ np.array(about_y)).ravel().tolist()
+    p = [250.0, 0.0, 300.0, -25.0, 0.0, 240.0, 200.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    log.camera(0.0, topic="/camera/camera_info", d=(-0.4, 0.2, 0.01, 0.0, 0.0), p=p, r=r)
+    # The axis of the rectified camera is 0.1 to the right; a pixel to the right of it by 0.5
+    # focal lengths lies, rolled back by 0.3, 0.5 cos(0.3) to the right of it.
+    log.detections(1.0, [detection({"cup": 1.0}, box(300, 200, 300, 200))])
+    log.detections(2.0, [detection({"cup": 1.0}, box(425, 200, 425, 200))])
+    found = read(log.close(), make_model(camera=CameraSettings(rectified=True))).measurements
+    off = math.atan(0.5 * math.cos(roll))
+    expected = [[NORTH - turn] * 2, [NORTH - turn - off] * 2]
+    np.testing.assert_allclose(found.directions, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("r", [[0.0] * 9, [1.0, 0, 0, 0, 1, 0, 0, 0, 1]])
+def test_r_left_zero_turns_nothing(log: SceneLog, r: list[float]) -> None:
+    standing_robot(log)
+    p = [250.0, 0.0, 300.0, 0.0, 0.0, 240.0, 200.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    log.camera(0.0, topic="/camera/camera_info", p=p, r=r)
+    log.detections(1.0, [detection({"cup": 1.0}, box(425, 0, 425, 480))])
+    found = read(log.close(), make_model(camera=CameraSettings(rectified=True))).measurements
+    np.testing.assert_allclose(found.directions, [[NORTH - math.atan(0.5)] * 2], atol=1e-12)
+
+
+@pytest.mark.parametrize("r", [[1.0, 0, 0, 0, 1, 0, 0, 0, -1], [1.0] * 9, [math.nan] * 9])
+def test_r_that_is_no_rotation_is_no_calibration(log: SceneLog, r: list[float]) -> None:
+    standing_robot(log)
+    p = [250.0, 0.0, 300.0, 0.0, 0.0, 240.0, 200.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    log.camera(0.0, topic="/camera/camera_info", p=p, r=r)
+    log.detections(1.0, [detection({"cup": 1.0}, box(425, 0, 425, 480))])
+    contents = read(log.close(), make_model(camera=CameraSettings(rectified=True)))
+    assert contents.tally.total == 1
 
 
 def test_a_topic_of_rectified_images_is_pointed_out(log: SceneLog) -> None:

@@ -276,6 +276,7 @@ _CALIBRATION_FIELDS: Mapping[str, Alternatives] = {
     "model": ("distortion_model",),
     "intrinsics": ("k", "K", "k[]", "K[]"),
     "coefficients": ("d[]", "D[]", "d", "D"),
+    "rectification": ("r", "R", "r[]", "R[]"),
     "projection": ("p", "P", "p[]", "P[]"),
     "binning_x": ("binning_x",),
     "binning_y": ("binning_y",),

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mclass import geometry, transforms
-from mclass.logs.decode.base import Column
+from mclass.logs.decode import ABSENT, Column, is_absent
 from mclass.logs.detections import TextArray, clean_frames, read_stamps
 from mclass.logs.families import VelocityFamily
 from mclass.logs.fields import PoseFields
@@ -175,17 +175,18 @@ def planar_covariances(column: Column) -> Column:
         column: Fixed arrays of 36 numbers, (n, 36), or lists of them.
 
     Returns:
-        The 3 by 3 matrices, (n, 9); NaN where a list is empty, infinite if of another size.
+        The 3 by 3 matrices, (n, 9); `ABSENT` where a list is empty or no field holds such
+        matrices, infinite where a list has another size.
     """
     if column.offsets:
         spans = column.offsets[0]
         counts = np.diff(spans)
-        result = np.where(counts == 0, np.nan, np.inf)[:, None].repeat(9, axis=1)
+        result = np.where(counts == 0, ABSENT, np.inf)[:, None].repeat(9, axis=1)
         full = counts == 36
         result[full] = column.values[spans[:-1][full, None] + _PLANAR]
         return Column(result)
     if column.values.ndim != 2 or column.values.shape[1] != 36:
-        return Column(np.full((len(column.values), 9), np.nan))
+        return Column(np.full((len(column.values), 9), ABSENT))
     return Column(column.values[:, _PLANAR].astype(np.float64))
 
 
@@ -240,19 +241,23 @@ def _covariances(
 ) -> FloatArray | None:
     """Covariances of (x, y, heading), (n, 3, 3), or None if the log gives none.
 
-    A covariance that cannot be is replaced by the latest sound one before it, else the first.
+    Those that are not told, or cannot be, are replaced by the latest one before, else the first.
     """
     if fields.covariance is None or not len(rows):
         return None
     planar = table.floats(fields.covariance)[rows].reshape(-1, 3, 3)
-    if np.isnan(planar).all():
-        return None
-    sound = is_positive_semidefinite(planar)
-    tally.add("covariance not positive semi-definite (left out)", int((~sound).sum()))
     # Publishers that do not know their covariance leave it zero, or set its first entry to -1.
-    if not sound.any() or not planar[sound].any():
-        return None
+    untold = np.asarray((is_absent(planar) | (planar == 0.0)).all(axis=(1, 2)))
+    untold |= planar[:, 0, 0] == -1.0
+    finite = np.isfinite(planar).all(axis=(1, 2))
+    sound = ~untold & is_positive_semidefinite(planar)
+    tally.add("covariance not finite (left out)", int((~untold & ~finite).sum()))
+    tally.add(
+        "covariance not positive semi-definite (left out)", int((~untold & finite & ~sound).sum())
+    )
     known = np.flatnonzero(sound)
+    if not len(known):
+        return None
     source = known[np.maximum(np.searchsorted(known, np.arange(len(rows)), side="right") - 1, 0)]
     result = planar[source]
     return np.asarray(0.5 * (result + np.swapaxes(result, 1, 2)))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mclass import transforms
-from mclass.camera import Calibrations, has_focal_length
+from mclass.camera import Calibrations, are_rotations, has_focal_length
 from mclass.logs import mounting
 from mclass.logs.detections import clean_frames, read_stamps
 from mclass.logs.sources import CameraSource
@@ -80,7 +80,7 @@ def read_camera(
         source: Where its fields are.
         by_log_time: Place calibrations by log time.
         rectified: Pixels are those of rectified images, which have no distortion and the
-            intrinsics in P, or those in K where P was left zero.
+            intrinsics in P, as seen by a camera turned by R; where P was left zero, those in K.
     """
     if not len(table):
         return None
@@ -91,12 +91,17 @@ def read_camera(
     matrix = _lists(table, source.fields["intrinsics"], 9)[kept]
     intrinsics = matrix[:, [0, 4, 2, 5]]
     coefficients = np.zeros((len(kept), 0))
+    turns = np.tile(np.eye(3), (len(kept), 1, 1))
     if rectified:
         model = ""
         if "projection" in source.fields:
             projected = _lists(table, source.fields["projection"], 12)[kept][:, [0, 5, 2, 6]]
             given = has_focal_length(projected)
             intrinsics = np.where(given[:, None], projected, intrinsics)
+            if "rectification" in source.fields:
+                turns[given] = _rectifications(_lists(table, source.fields["rectification"], 9))[
+                    kept[given]
+                ]
     elif "coefficients" in source.fields:
         coefficients = _lists(table, source.fields["coefficients"], None)[kept]
     sizes = np.stack([_numbers(table, source, key)[kept] for key in ("width", "height")], axis=1)
@@ -122,18 +127,30 @@ def read_camera(
     order = np.argsort(stamps, kind="stable")
     # A calibration with a number that is none is no calibration: without a focal length it is
     # refused where it is needed.
-    everything = np.concatenate([intrinsics, coefficients], axis=1)
+    # R turns the optical frame into that of the rectified image, its transpose back.
+    back = np.swapaxes(turns, 1, 2).reshape(-1, 9)
+    everything = np.concatenate([intrinsics, back, coefficients], axis=1)
     everything = np.where(transforms.finite_rows(everything)[:, None], everything, 0.0)
     everything = np.concatenate([everything, sizes], axis=1)
     distinct, rows = np.unique(everything[order], axis=0, return_inverse=True)
     calibrations = Calibrations(
         "" if not model and not coefficients.any() else model or "plumb_bob",
         distinct[:, :4],
-        distinct[:, 4:-2],
+        distinct[:, 13:-2],
         distinct[:, -2:],
+        distinct[:, 4:13].reshape(-1, 3, 3) if rectified else None,
     )
     frame = next((name for name in frames[kept].tolist() if name), "")
     return CameraTrack(table.channel.topic, frame, stamps[order], rows.reshape(-1), calibrations)
+
+
+def _rectifications(matrices: FloatArray) -> FloatArray:
+    """R as rotations, (n, 3, 3): the identity where it was left zero, NaN where it is none."""
+    matrices = matrices.reshape(-1, 3, 3)
+    unknown = (matrices == 0.0).all(axis=(1, 2))
+    good = are_rotations(matrices)
+    result = np.where(unknown[:, None, None], np.eye(3), matrices)
+    return np.where((unknown | good)[:, None, None], result, np.nan)
 
 
 def settings_camera(settings: CameraSettings | None) -> CameraTrack | None:
