@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -178,6 +179,28 @@ def small_disk(place: Path, size: int) -> Iterator[Path]:
         subprocess.run(["umount", str(place)], check=True)
 
 
+POWERLESS = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search")
+"""Runs a program as root who may write and read no more than files allow their owner."""
+
+
+def without_power(folder: Path, *words: str) -> tuple[int, str]:
+    """As `finished`, bound to what files and folders allow, as every user but root is."""
+    before: tuple[str, ...] = ()
+    if os.geteuid() == 0:
+        before = POWERLESS
+        locked = f"cd {folder / 'locked'}"
+        if (
+            not shutil.which("setpriv")
+            or subprocess.run(
+                [*before, "sh", "-c", f"! {locked}"], capture_output=True, check=False
+            ).returncode
+        ):
+            pytest.skip("root cannot give up its power here")
+    command = [*before, sys.executable, "-c", PROGRAM, "estimate", "log.mcap", *words]
+    run = subprocess.run(command, cwd=folder, capture_output=True, check=False, timeout=READY)
+    return run.returncode, run.stderr.decode()
+
+
 class TestDisks:
     @pytest.mark.parametrize("share", [0.3, 1.02])
     def test_full(self, share: float, folder: Path, sound: bytes) -> None:
@@ -198,13 +221,37 @@ class TestDisks:
             assert "read-only" in errors
             assert names(disk) == set()
 
-    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-    def test_folder_of_others(self, folder: Path) -> None:
-        (folder / "closed").mkdir(mode=0o500)
-        code, errors = finished(folder, "-o", "closed/out.mcap")
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            ((), "Choose an output in a folder that you may write to"),
+            (("-o", "closed/out.mcap"), "Choose an output in a folder that you may write to"),
+            (("-o", "locked/out.mcap"), "Choose an output in a folder that you may write to"),
+            (("--only-new",), "Choose an output in a folder that you may write to"),
+            (("--in-place",), "Write a copy instead, without --in-place"),
+        ],
+    )
+    def test_folder_of_others(
+        self, words: tuple[str, ...], said: str, folder: Path, sound: bytes
+    ) -> None:
+        """The log's own folder, one that only others may write to, one that only they may see."""
+        (folder / "closed").mkdir()
+        (folder / "locked").mkdir(mode=0)
+        (folder / "log.mcap").chmod(0o444)
+        (folder / "closed").chmod(0o555)
+        folder.chmod(0o555)
+        try:
+            code, errors = without_power(folder, *words)
+        finally:
+            folder.chmod(0o755)
+            (folder / "locked").chmod(0o755)
         assert code == 1
         assert "permission denied" in errors
-        assert names(folder / "closed") == set()
+        assert said in errors
+        assert "Traceback" not in errors
+        assert names(folder) == {"log.mcap", "mclass.yaml", "closed", "locked"}
+        assert names(folder / "closed") == names(folder / "locked") == set()
+        assert (folder / "log.mcap").read_bytes() == sound
 
     def test_missing_folder(self, folder: Path) -> None:
         code, errors = finished(folder, "-o", "no/out.mcap")
