@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -77,21 +78,28 @@ class Pointing:
     max_range: float
     rays: bool = False
 
-    @property
+    @cached_property
     def widths(self) -> FloatArray:
         """Opening angles of the boxes [rad], (n,), 0 for a ray."""
         if self.rays:
             return np.where(np.isfinite(self.directions[:, 0]), 0.0, np.nan)
-        widths = np.remainder(self.directions[:, 1] - self.directions[:, 0], 2.0 * np.pi)
-        # An opening of a full turn less rounding is a box without width.
-        return np.where(widths > 2.0 * np.pi - _NO_WIDTH, 0.0, widths)
+        return self._openings
 
-    @property
+    @cached_property
     def axes(self) -> FloatArray:
         """Middle directions of the boxes [rad], (n,)."""
-        opening = np.remainder(self.directions[:, 1] - self.directions[:, 0], 2.0 * np.pi)
-        opening = np.where(opening > 2.0 * np.pi - _NO_WIDTH, 0.0, opening)
-        return np.asarray(self.directions[:, 0] + opening / 2.0)
+        return np.asarray(self.directions[:, 0] + self._openings / 2.0)
+
+    @cached_property
+    def backs(self) -> FloatArray:
+        """Directions from the boxes' right edges to the sensor [rad], wrapped, (n,)."""
+        return wrap_angle(self.directions[:, 0] + np.pi)
+
+    @property
+    def _openings(self) -> FloatArray:
+        openings = np.remainder(self.directions[:, 1] - self.directions[:, 0], 2.0 * np.pi)
+        # An opening of a full turn less rounding is a box without width.
+        return np.where(openings > 2.0 * np.pi - _NO_WIDTH, 0.0, openings)
 
     def select(self, rows: IntArray) -> Pointing:
         """Only the given rows."""
@@ -246,7 +254,9 @@ class Sight:
         return Sight(self.ranges[:, columns], self.directions[:, columns], self.inside[:, columns])
 
 
-def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
+def sight(
+    centers: FloatArray, cell_size: float, pointing: Pointing, rows: IntArray | None = None
+) -> Sight:
     """Range, direction and footprint test of every cell for every detection.
 
     A cone holds a cell whose centre lies between its edges and within the range, both ends
@@ -255,22 +265,24 @@ def sight(centers: FloatArray, cell_size: float, pointing: Pointing) -> Sight:
     Args:
         centers: Cell centres [m], (m, 2).
         cell_size: Edge length [m].
-        pointing: The detections, (k,).
+        pointing: The detections.
+        rows: Those that are looked at, (k,); all when None.
     """
-    offset_x = pointing.positions[:, 0] - centers[:, None, 0]
-    offset_y = pointing.positions[:, 1] - centers[:, None, 1]
+    rows = np.arange(len(pointing.positions)) if rows is None else rows
+    positions, widths = pointing.positions.take(rows, axis=0), pointing.widths.take(rows)
+    offset_x = positions[:, 0] - centers[:, None, 0]
+    offset_y = positions[:, 1] - centers[:, None, 1]
     # Not np.hypot: what it guards against cannot happen here, and it takes seven times as long.
     ranges = np.sqrt(offset_x * offset_x + offset_y * offset_y)
     directions = np.arctan2(offset_y, offset_x)
-    widths = pointing.widths
     # How far to the left of the right edge, perhaps less a turn: both angles are within one.
-    from_right = directions - wrap_angle(pointing.directions[:, 0] + np.pi)
+    from_right = directions - pointing.backs.take(rows)
     inside = (from_right >= 0.0) & (from_right <= widths)
     inside |= from_right <= widths - 2.0 * np.pi
     inside &= (ranges >= pointing.min_range) & (ranges <= pointing.max_range)
     is_ray = np.flatnonzero(widths < _NO_WIDTH)
     if len(is_ray):
-        axes = pointing.axes[is_ray]
+        axes = pointing.axes[rows[is_ray]]
         inside[:, is_ray] = _segment_meets_square(
             -offset_x[:, is_ray], -offset_y[:, is_ray], axes, cell_size / 2.0 + _BORDER, pointing
         )

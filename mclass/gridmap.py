@@ -63,6 +63,7 @@ def grid_beliefs(
     """
     touched = list(tiles(grid, looks.pointing))
     causes = Causes.found(engine, looks, grid, log_priors, touched)
+    cut_of_look = np.searchsorted(cuts_ns, looks.stamps_ns)
 
     def beliefs(number: int) -> tuple[TileBelief, ...]:
         parts = [
@@ -75,7 +76,12 @@ def grid_beliefs(
                     posterior(evidence, log_priors, engine.shown_bins),
                 )
                 for cells, measurements, evidence in _cumulative(
-                    engine, looks, part, tile_pairs(looks, grid, part, causes), cuts_ns
+                    engine,
+                    looks,
+                    part,
+                    tile_pairs(looks, grid, part, causes),
+                    cut_of_look,
+                    len(cuts_ns),
                 )
             ]
             for part in touched[number].parts(_PAIRS_AT_ONCE)
@@ -165,13 +171,12 @@ def tile_pairs(looks: Looks, grid: Grid, tile: Tile, causes: Causes | None) -> P
 
 
 def _cumulative(
-    engine: Engine, looks: Looks, tile: Tile, pairs: Pairs, cuts_ns: Sequence[int]
+    engine: Engine, looks: Looks, tile: Tile, pairs: Pairs, cut_of_look: IntArray, n_cuts: int
 ) -> Iterator[tuple[IntArray, IntArray, Evidence]]:
     """A tile's touched cells, how many detections pointed at each, and their evidence by cut."""
-    cut_of_look = np.searchsorted(cuts_ns, looks.stamps_ns)
     pointed = np.zeros(len(tile.cells), dtype=np.int64)
     total: Evidence | None = None
-    for number in range(len(cuts_ns)):
+    for number in range(n_cuts):
         part = pairs.select(cut_of_look.take(pairs.looks) == number)
         evidence = engine.evidence(part)
         total = evidence if total is None else total + evidence

@@ -77,12 +77,12 @@ def grid_pairs(looks: Looks, centers: FloatArray, cell_size: float, candidates: 
         candidates: Looks that may concern these cells, increasing.
     """
     detections = candidates[candidates < looks.n_detections]
-    seen = sight(centers, cell_size, looks.pointing.select(detections))
+    seen = sight(centers, cell_size, looks.pointing, detections)
     if not looks.settings.probabilities:
         return joined_pairs([seen], [detections], [seen.inside], None)
     frames, column = np.unique(looks.frames[candidates], return_inverse=True)
     frame_looks = looks.frame_looks(frames)
-    frame_seen = sight(centers, cell_size, looks.pointing.select(frame_looks))
+    frame_seen = sight(centers, cell_size, looks.pointing, frame_looks)
     looked = (
         looks.in_view(frame_seen, frame_looks)
         if looks.settings.silence
