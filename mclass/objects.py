@@ -29,13 +29,13 @@ _STEPS_AT_ONCE = 64
 _SIGHTS_AT_ONCE = 2**18
 """Cells times looks; a dozen numbers are known of each."""
 
-_WEIGHTS_AT_ONCE = 2**21
+_WEIGHTS_AT_ONCE = 2**22
 """Cells times looks whose weights are remembered: what lies beyond takes another count."""
 
 _NUMBERS_AT_ONCE = 2**20
 """Of the beliefs after each step of a block, unless one step has more."""
 
-FILTER_BYTES = 8 * (_WEIGHTS_AT_ONCE + 4 * _NUMBERS_AT_ONCE)
+FILTER_BYTES = 4 * _WEIGHTS_AT_ONCE + 8 * 4 * _NUMBERS_AT_ONCE
 """What an `ObjectFilter` holds, about, besides a few copies of its belief."""
 
 
@@ -104,7 +104,7 @@ class ObjectFilter:
         self._total = Evidence(np.zeros(shape), np.zeros(len(kept)), np.zeros(len(kept), np.int64))
         self._hits = np.zeros(len(kept), dtype=np.int64)
         self._log_outer = np.zeros(len(kept))
-        self._weights = np.empty((len(kept), 0))
+        self._weights = np.empty((len(kept), 0), dtype=np.float32)
         self._weighed = slice(0, 0)
 
     def steps(self) -> Iterator[Readout]:
@@ -191,7 +191,7 @@ class ObjectFilter:
         if part.stop > self._weighed.stop:
             self._weigh(part)
         first = self._weighed.start
-        return self._weights[:, part.start - first : part.stop - first] * shares
+        return np.asarray(self._weights[:, part.start - first : part.stop - first] * shares)
 
     def _weigh(self, part: slice) -> None:
         """Find the weights of looks from those of a block on, as many as there is room for."""
@@ -200,7 +200,7 @@ class ObjectFilter:
         assert widths is not None
         stop = min(max(part.stop, part.start + _WEIGHTS_AT_ONCE // count), len(looks.rows))
         self._weighed = slice(part.start, stop)
-        self._weights = np.empty((count, stop - part.start))
+        self._weights = np.empty((count, stop - part.start), dtype=np.float32)
         most = max(1, _SIGHTS_AT_ONCE // len(looks.rows))
         for first in range(0, count, most):
             some = slice(first, first + most)
