@@ -222,7 +222,8 @@ class Engine:
         """Terms that some of the looks add."""
         seen = np.zeros(len(self.term_weights), dtype=bool)
         seen[looks] = True
-        return np.flatnonzero(self._adds.take(np.flatnonzero(seen), axis=1).any(axis=1))
+        different = np.flatnonzero(seen)
+        return np.flatnonzero([adds.take(different).any() for adds in self._adds])
 
     def _adding(self, index: int, pairs: Pairs) -> Pairs:
         """Pairs whose looks add a term, their scale multiplied by how much."""
