@@ -8,11 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from mclass.geometry import wrap_angle
+from mclass.geometry import NO_WIDTH, opening_angles, wrap_angle
 from mclass.records import BoolArray, FloatArray, IntArray
-
-_NO_WIDTH = 1e-9
-"""Boxes that open less than this [rad] are rays."""
 
 _BORDER = 1e-9
 """A ray this close to a cell [m] meets it: along a border it meets the cells on both sides."""
@@ -97,9 +94,7 @@ class Pointing:
 
     @property
     def _openings(self) -> FloatArray:
-        openings = np.remainder(self.directions[:, 1] - self.directions[:, 0], 2.0 * np.pi)
-        # An opening of a full turn less rounding is a box without width.
-        return np.where(openings > 2.0 * np.pi - _NO_WIDTH, 0.0, openings)
+        return opening_angles(self.directions)
 
     def select(self, rows: IntArray) -> Pointing:
         """Only the given rows."""
@@ -280,7 +275,7 @@ def sight(
     inside = (from_right >= 0.0) & (from_right <= widths)
     inside |= from_right <= widths - 2.0 * np.pi
     inside &= (ranges >= pointing.min_range) & (ranges <= pointing.max_range)
-    is_ray = np.flatnonzero(widths < _NO_WIDTH)
+    is_ray = np.flatnonzero(widths < NO_WIDTH)
     if len(is_ray):
         axes = pointing.axes[rows[is_ray]]
         inside[:, is_ray] = _segment_meets_square(

@@ -15,12 +15,26 @@ from mclass.records import FloatArray, IntArray
 
 _SMALL_ANGLE = 1e-4
 
+NO_WIDTH = 1e-9
+"""Boxes that open less than this [rad] are rays."""
+
 
 def wrap_angle(angles: npt.ArrayLike) -> FloatArray:
     """Angles [rad] brought to (-pi, pi], same shape."""
     wrapped = np.pi - np.remainder(np.pi - np.asarray(angles, dtype=float), 2.0 * np.pi)
     # A remainder next to a full turn rounds to -pi.
     return np.where(wrapped <= -np.pi, np.pi, wrapped)
+
+
+def opening_angles(directions: FloatArray) -> FloatArray:
+    """Turn from right edges to left ones [rad], [0, 2 pi), across that from pi to -pi too.
+
+    Args:
+        directions: Azimuths of right and left edges [rad], (..., 2); NaN stays NaN.
+    """
+    openings = np.remainder(directions[..., 1] - directions[..., 0], 2.0 * np.pi)
+    # An opening of a full turn less rounding is a box without width.
+    return np.where(openings > 2.0 * np.pi - NO_WIDTH, 0.0, openings)
 
 
 def rotate(headings: npt.ArrayLike, points: FloatArray) -> FloatArray:

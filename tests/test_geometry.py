@@ -18,6 +18,7 @@ from mclass.geometry import (
     interpolate_poses,
     inverse,
     log,
+    opening_angles,
     relative_pose,
     rotate,
     transform_points,
@@ -320,3 +321,11 @@ def test_integration_matches_composing_steps(rng: np.random.Generator) -> None:
     found = integrate_twists(stamps, velocities, pose)
     for actual, wanted in zip(found, expected, strict=True):
         assert_allclose(matrix(actual), wanted, atol=1e-9)
+
+
+def test_openings_go_from_right_to_left() -> None:
+    edges = np.array([[0.2, 0.5], [3.0, -3.0], [0.7, 0.7], [0.7, 0.7 - 1e-16], [-0.1, 0.1]])
+    expected = [0.3, 2.0 * np.pi - 6.0, 0.0, 0.0, 0.2]
+    assert_allclose(opening_angles(edges), expected, rtol=0, atol=1e-12)
+    rounded = np.array([1.0, np.nextafter(1.0, 0.0)])
+    assert opening_angles(rounded) == 0.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from mclass import camera, transforms
 from mclass.camera import Calibrations
-from mclass.geometry import wrap_angle
+from mclass.geometry import opening_angles, wrap_angle
 from mclass.records import BoolArray, FloatArray, IntArray
 
 NOT_FINITE = "box not finite"
@@ -147,7 +147,7 @@ def bearing_directions(
     """
     finite = transforms.finite_rows(bearings, _MAX_BEARING)
     safe = np.where(finite[:, None], bearings, 0.0)
-    width = np.remainder(safe[:, 1] - safe[:, 0], 2.0 * np.pi)
+    width = opening_angles(safe)
     azimuths = []
     level = np.ones(len(bearings), bool)
     for angle in (safe[:, 0], safe[:, 1], safe[:, 0] + 0.5 * width):
@@ -216,7 +216,7 @@ def hull(directions: FloatArray, rows: IntArray, n_rows: int) -> FloatArray:
     if not len(usable):
         return result
     rows, right = rows[usable], directions[usable, 0]
-    width = np.remainder(directions[usable, 1] - right, 2.0 * np.pi)
+    width = opening_angles(directions[usable])
     _, first = np.unique(rows, return_index=True)
     reference = np.full(n_rows, np.nan)
     reference[rows[first]] = right[first] + 0.5 * width[first]

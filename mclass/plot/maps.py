@@ -21,6 +21,7 @@ from matplotlib.patches import Ellipse, Patch
 from mclass.classes import BACKGROUND
 from mclass.errors import UsageError
 from mclass.findings import Estimate
+from mclass.geometry import opening_angles
 from mclass.outputs.colors import class_color
 from mclass.plot.labels import place_texts, text_size
 from mclass.plot.style import (
@@ -70,8 +71,7 @@ def ray_segments(
         rows = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
     starts = measurements.frames.poses_world_sensor[measurements.frame_index[rows], :2]
     right, left = measurements.directions[rows].T
-    # Counter-clockwise from right to left, across the turn from pi to -pi too.
-    width = np.remainder(left - right, 2.0 * np.pi)
+    width = opening_angles(measurements.directions[rows])
     if footprint == "ray":
         directions = right + 0.5 * width
     else:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mclass.geometry import opening_angles
 from mclass.records import FloatArray, IntArray, LabelMeasurements
 from mclass.results import ObjectEstimate
 from mclass.text.terminal import Terminal
@@ -73,7 +74,6 @@ class Steps:
         """
         found, rows = self._measurements, self.rows
         poses = found.frames.poses_world_sensor[found.frame_index[rows]]
-        right, left = found.directions[rows].T
         labels = [", ".join(map(shown_name, found.label_names_of(row))) for row in rows.tolist()]
         distinct = sorted(set(labels))
         places = {text: index for index, text in enumerate(distinct)}
@@ -86,9 +86,8 @@ class Steps:
             "x": numbers(poses[:, 0], 3),
             "y": numbers(poses[:, 1], 3),
             "heading": numbers(poses[:, 2], 4),
-            "right": numbers(right, 4),
-            # Counter-clockwise from right to left, across the turn from pi to -pi too.
-            "width": numbers(np.remainder(left - right, 2.0 * np.pi), 4),
+            "right": numbers(found.directions[rows, 0], 4),
+            "width": numbers(opening_angles(found.directions[rows]), 4),
             "object": owners[found.object_index[rows]].tolist(),
             "labels": [places[text] for text in labels],
             "label_sets": distinct,

@@ -16,6 +16,7 @@ import numpy as np
 import rerun as rr
 
 from mclass.classes import BACKGROUND
+from mclass.geometry import opening_angles
 from mclass.outputs.colors import BACKGROUND_COLOR, CLASS_COLORS
 from mclass.outputs.names import TopicTokens, display_text
 from mclass.outputs.raster import pack_cells
@@ -234,8 +235,7 @@ def _outlines(contents: Contents, height: float) -> tuple[list[FloatArray], IntA
     found = contents.measurements
     located = np.flatnonzero(np.isfinite(found.directions).all(axis=1))
     starts = found.frames.poses_world_sensor[found.frame_index[located], :2] - contents.origin
-    right, left = found.directions[located].T
-    width = np.remainder(left - right, 2.0 * np.pi)
+    right, width = found.directions[located, 0], opening_angles(found.directions[located])
     as_ray = (width == 0.0) | (contents.grid.footprint == "ray")
     edges = np.stack([right, right + width], axis=1)
     edges[as_ray] = (right + 0.5 * width)[as_ray, None]
