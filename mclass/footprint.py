@@ -92,6 +92,11 @@ class Pointing:
         """Directions from the boxes' right edges to the sensor [rad], wrapped, (n,)."""
         return wrap_angle(self.directions[:, 0] + np.pi)
 
+    @cached_property
+    def coordinates(self) -> FloatArray:
+        """Sensor positions, all x before all y: so they are taken faster, (2, n)."""
+        return np.ascontiguousarray(self.positions.T)
+
     @property
     def _openings(self) -> FloatArray:
         return opening_angles(self.directions)
@@ -264,14 +269,15 @@ def sight(
         rows: Those that are looked at, (k,); all when None.
     """
     rows = np.arange(len(pointing.positions)) if rows is None else rows
-    positions, widths = pointing.positions.take(rows, axis=0), pointing.widths.take(rows)
-    offset_x = positions[:, 0] - centers[:, None, 0]
-    offset_y = positions[:, 1] - centers[:, None, 1]
+    x, y = pointing.coordinates
+    offset_x = x.take(rows) - centers[:, None, 0]
+    offset_y = y.take(rows) - centers[:, None, 1]
     # Not np.hypot: what it guards against cannot happen here, and it takes seven times as long.
     ranges = np.sqrt(offset_x * offset_x + offset_y * offset_y)
     directions = np.arctan2(offset_y, offset_x)
     # How far to the left of the right edge, perhaps less a turn: both angles are within one.
     from_right = directions - pointing.backs.take(rows)
+    widths = pointing.widths.take(rows)
     inside = (from_right >= 0.0) & (from_right <= widths)
     inside |= from_right <= widths - 2.0 * np.pi
     inside &= (ranges >= pointing.min_range) & (ranges <= pointing.max_range)
