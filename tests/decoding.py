@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from mclass.logs.channels import ChannelInfo, MessageBatch
 from mclass.logs.decode import Column
-from mclass.logs.reader import ChannelInfo, MessageBatch
 
 
 def channel(encoding: str, name: str, schema: bytes | str, schema_encoding: str) -> ChannelInfo:

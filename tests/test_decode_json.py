@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mclass.errors import LogError
+from mclass.logs.channels import ChannelInfo
 from mclass.logs.decode import Columns, decoder_for
-from mclass.logs.reader import ChannelInfo
 
 STAMP = {"type": "object", "properties": {"nsec": {"type": "integer"}, "sec": {"type": "integer"}}}
 SCHEMA = {

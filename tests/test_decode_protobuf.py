@@ -25,8 +25,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mclass.errors import LogError
+from mclass.logs.channels import ChannelInfo
 from mclass.logs.decode import decoder_for, is_absent
-from mclass.logs.reader import ChannelInfo
 
 F = FieldDescriptorProto
 RANGES: dict[Any, tuple[int, int]] = {

@@ -16,8 +16,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mclass.errors import LogError
+from mclass.logs.channels import ChannelInfo
 from mclass.logs.decode import Columns, decoder_for
-from mclass.logs.reader import ChannelInfo
 
 SEPARATOR = "=" * 80
 INTEGERS = {f"{sign}int{bits}": (sign, bits) for sign in ("", "u") for bits in (8, 16, 32, 64)}

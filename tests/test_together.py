@@ -9,7 +9,7 @@ from decoding import channel
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mclass.logs.reader import MessageBatch
+from mclass.logs.channels import MessageBatch
 from mclass.logs.together import together
 
 CHANNELS = [replace(channel("json", f"c{number}", "", ""), id=number) for number in range(3)]

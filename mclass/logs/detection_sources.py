@@ -15,6 +15,7 @@ from functools import partial
 from mclass.errors import LogError
 from mclass.logs import families
 from mclass.logs.annotations import annotation_paths
+from mclass.logs.channels import ChannelInfo
 from mclass.logs.families import (
     ANNOTATIONS_RANK,
     GUESSED_RANK,
@@ -25,7 +26,7 @@ from mclass.logs.families import (
 from mclass.logs.field_mapping import mapped_detection_fields
 from mclass.logs.fields import DetectionFields, family_detection_fields
 from mclass.logs.guesses import guess_detection_fields
-from mclass.logs.reader import ChannelInfo, LogReader
+from mclass.logs.reader import LogReader
 from mclass.logs.tables import Decoders
 from mclass.logs.topics import channels_of
 from mclass.model import FieldMapping

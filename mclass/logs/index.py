@@ -19,9 +19,10 @@ from mclass.logs.chunks import (
     read_chunk,
 )
 from mclass.logs.damage import Damage
+from mclass.logs.record_index import LogIndex
 from mclass.logs.source import Source
 from mclass.logs.summary import Summary, read_summary
-from mclass.logs.walk import LogIndex, UntrustedSummaryError, Walk
+from mclass.logs.walk import UntrustedSummaryError, Walk
 from mclass.logs.wire import MalformedError
 
 

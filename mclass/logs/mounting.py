@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mclass import transforms
+from mclass.logs.channels import ChannelInfo
 from mclass.logs.detections import clean_frames
 from mclass.logs.families import TRANSFORMS, TransformFamily, plain_schema_name
-from mclass.logs.reader import ChannelInfo
 from mclass.logs.tables import Table
 from mclass.records import BoolArray, FloatArray, IntArray, Tally
 from mclass.transforms import Link, Transforms, TransformTree

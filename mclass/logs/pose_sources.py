@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mclass.logs import families
+from mclass.logs.channels import ChannelInfo
 from mclass.logs.families import (
     MAPPED_RANK,
     TRANSFORM_RANK,
@@ -22,7 +23,7 @@ from mclass.logs.families import (
 )
 from mclass.logs.field_mapping import mapped_pose_fields
 from mclass.logs.fields import PoseFields, family_pose_fields
-from mclass.logs.reader import ChannelInfo, LogReader
+from mclass.logs.reader import LogReader
 from mclass.logs.tables import Decoders
 from mclass.logs.topics import channels_of
 from mclass.model import FieldMapping, TransformSource

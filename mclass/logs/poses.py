@@ -248,7 +248,7 @@ def _covariances(
     planar = table.floats(fields.covariance)[rows].reshape(-1, 3, 3)
     # Publishers that do not know their covariance leave it zero, or set its first entry to -1.
     untold = np.asarray((is_absent(planar) | (planar == 0.0)).all(axis=(1, 2)))
-    untold |= planar[:, 0, 0] == -1.0
+    untold |= (planar == np.diag([-1.0, 0.0, 0.0])).all(axis=(1, 2))
     finite = np.isfinite(planar).all(axis=(1, 2))
     sound = ~untold & is_positive_semidefinite(planar)
     tally.add("covariance not finite (left out)", int((~untold & ~finite).sum()))

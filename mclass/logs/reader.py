@@ -5,15 +5,15 @@ All that can be used is used; ``LogReader.damage`` counts what could not be, in 
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from types import TracebackType
 
 import numpy as np
-from mcap.records import AttachmentIndex
 
 from mclass.errors import LogError
+from mclass.logs.attachments import is_intact, read_attachment
+from mclass.logs.channels import ChannelInfo, MessageBatch
 from mclass.logs.chunks import (
     ChunkContent,
     ChunkEntry,
@@ -24,11 +24,11 @@ from mclass.logs.chunks import (
 )
 from mclass.logs.damage import Damage
 from mclass.logs.index import keeps_times, load_index, lose_chunk, scan_index, use_content
+from mclass.logs.record_index import LogIndex
 from mclass.logs.redefined import Redefinitions
 from mclass.logs.remote import open_remote
 from mclass.logs.source import Source, open_source
 from mclass.logs.summary import Summary
-from mclass.logs.walk import LogIndex, read_attachment_head
 from mclass.logs.wire import (
     MESSAGE_HEAD,
     RECORD_HEAD,
@@ -40,62 +40,9 @@ from mclass.places import PlaceLike, Url, place_of
 from mclass.records import BoolArray, IntArray
 
 _LATEST = (1 << 63) - 1
-_BLOCK = 1 << 20
 _TIMES_LIE = "chunks were chosen by the times they state, and this one's are wrong"
 _MAY_MISS = "chunks state wrong times, so that reading a part of the time can miss messages"
 _MESSAGE_FIELDS = MESSAGE_HEAD - RECORD_HEAD
-
-
-@dataclass(frozen=True)
-class ChannelInfo:
-    """A channel and its schema.
-
-    Attributes:
-        id: Number in the log.
-        topic: Name.
-        message_encoding: ``cdr``, ``protobuf``, ``json``, ``ros1``, ...
-        schema_name: Message type; empty when the channel has no schema.
-        schema_encoding: ``ros2msg``, ``protobuf``, ...; empty when there is no schema.
-        schema_data: The schema itself.
-        message_count: Messages in the log; None when unknown without reading all of it.
-        metadata: Of the channel.
-    """
-
-    id: int
-    topic: str
-    message_encoding: str
-    schema_name: str
-    schema_encoding: str
-    schema_data: bytes
-    message_count: int | None
-    metadata: Mapping[str, str]
-
-
-@dataclass(frozen=True)
-class MessageBatch:
-    """Messages of one channel out of one chunk, in file order.
-
-    Message ``i`` is ``buffer[offsets[i] : offsets[i] + lengths[i]]``.
-
-    Attributes:
-        channel: Of all of them.
-        buffer: The chunk's records.
-        offsets: Where payloads begin in ``buffer``, (n,).
-        lengths: Bytes of the payloads, (n,).
-        log_times_ns: Log times [ns], (n,); those beyond 2262 count as 2^63 - 1.
-        first_index: Number of the first message within its channel, from 0; the others
-            follow without gap.
-    """
-
-    channel: ChannelInfo
-    buffer: memoryview | bytes
-    offsets: IntArray
-    lengths: IntArray
-    log_times_ns: IntArray
-    first_index: int
-
-    def __len__(self) -> int:
-        return len(self.offsets)
 
 
 @dataclass(frozen=True)
@@ -252,7 +199,7 @@ class LogReader:
                 f"{max_size:,} that are read.",
                 path=str(self.path),
             )
-        data, intact = self._attachment_data(found[-1])
+        data, intact = read_attachment(self.source, found[-1])
         if not intact:
             raise LogError(
                 f"attachment {name!r} is broken: its checksum does not match.", path=str(self.path)
@@ -366,10 +313,10 @@ class LogReader:
         problems += [
             f"attachment {attachment.name!r}: its checksum does not match"
             for attachment in self.index.attachments
-            if not self._attachment_intact(attachment)
+            if not is_intact(self.source, attachment)
         ]
         crc = self.index.data_crc
-        if crc and crc != self._checksum(0, self.index.data_end):
+        if crc and crc != self.source.checksum(0, self.index.data_end):
             problems.append("the checksum of the data section does not match")
         if progress is not None:
             progress(self.size, self.size)
@@ -442,26 +389,6 @@ class LogReader:
         old = self.index
         known = Summary(0, old.schemas, old.channels, {}, old.statistics)
         self.index = scan_index(self.source, self.damage, known)
-
-    def _attachment_data(self, found: AttachmentIndex) -> tuple[bytes, bool]:
-        """Data of an attachment, and whether its checksum matches."""
-        _, start = read_attachment_head(self.source, found.offset)
-        record = self.source.read(found.offset, start + found.data_size + 4)
-        crc = int.from_bytes(record[-4:], "little")
-        intact = not crc or crc == zlib.crc32(memoryview(record)[RECORD_HEAD:-4])
-        return record[start:-4], intact
-
-    def _attachment_intact(self, found: AttachmentIndex) -> bool:
-        _, start = read_attachment_head(self.source, found.offset)
-        end = found.offset + start + found.data_size
-        crc = int.from_bytes(self.source.read(end, 4), "little")
-        return not crc or crc == self._checksum(found.offset + RECORD_HEAD, end)
-
-    def _checksum(self, start: int, end: int) -> int:
-        crc = 0
-        for offset in range(start, end, _BLOCK):
-            crc = zlib.crc32(self.source.read(offset, min(_BLOCK, end - offset)), crc)
-        return crc
 
 
 def open_log_source(path: PlaceLike) -> Source:

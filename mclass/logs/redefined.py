@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 
 from mclass.logs.chunks import ChunkContent, ChunkEntry
 from mclass.logs.damage import Damage
-from mclass.logs.walk import LogIndex, Mark
+from mclass.logs.record_index import LogIndex, Mark
 from mclass.logs.wire import MalformedError
 from mclass.records import BoolArray
 

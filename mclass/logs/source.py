@@ -8,6 +8,7 @@ import os
 import stat
 import tempfile
 import threading
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import IO
@@ -20,6 +21,7 @@ MAGIC = b"\x89MCAP0\r\n"
 # Large: a thread that hashes waits for the interpreter between blocks.
 _HASH_BLOCK = 1 << 23
 _SPOOL_BLOCK = 1 << 20
+_CHECKED_BLOCK = 1 << 20
 
 _OTHER_FORMATS = (
     (b"#ROSBAG", "is a ROS 1 bag, not MCAP. Convert it: mcap convert in.bag out.mcap"),
@@ -65,6 +67,17 @@ class Source(abc.ABC):
             self._block = self.read(offset, max(length, self.block))
             self._block_offset, start = offset, 0
         return self._block[start : start + length]
+
+    def checksum(self, start: int, end: int) -> int:
+        """CRC-32 of a range of bytes, in bounded memory.
+
+        Raises:
+            LogError: If the disk or the store fails.
+        """
+        crc = 0
+        for offset in range(start, end, _CHECKED_BLOCK):
+            crc = zlib.crc32(self.read(offset, min(_CHECKED_BLOCK, end - offset)), crc)
+        return crc
 
     def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
         """Say which bytes are read next, so that what is far away can be fetched in time.

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 from mclass.errors import LogError
 from mclass.logs import families, mounting
+from mclass.logs.channels import ChannelInfo
 from mclass.logs.detection_sources import DetectionSource, choose_detections, named_detections
 from mclass.logs.families import CameraFamily, Role, first_present, plain_schema_name, role_of
 from mclass.logs.pose_sources import PoseSource, named_poses, pose_candidates
-from mclass.logs.reader import ChannelInfo, LogReader
+from mclass.logs.reader import LogReader
 from mclass.logs.tables import Decoders
 from mclass.logs.topics import channels_of, own_prefix
 from mclass.model import Model

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import zlib
 from dataclasses import dataclass, field
 
 from mcap.opcode import Opcode
@@ -26,7 +25,6 @@ from mclass.logs.wire import (
 
 FOOTER_LENGTH = RECORD_HEAD + 20
 _MAX_SUMMARY_RECORD = 1 << 26
-_CRC_BLOCK = 1 << 20
 _INDEX_HEAD = RECORD_HEAD + 6
 
 
@@ -66,7 +64,7 @@ def read_summary(source: Source) -> Summary | None:
         raise MalformedError("its place is outside of the file")
     source.expect([(start, source.size)])
     summary = _parse(source, start, offsets_start or footer_start, footer_start)
-    if crc and crc != _checksum(source, start, source.size - len(MAGIC) - 4):
+    if crc and crc != source.checksum(start, source.size - len(MAGIC) - 4):
         raise MalformedError("its checksum does not match")
     return summary
 
@@ -130,10 +128,3 @@ def _counts(index: ChunkIndex) -> dict[int, int] | None:
         if rest or following < offset + _INDEX_HEAD:
             return None
     return counts
-
-
-def _checksum(source: Source, start: int, stop: int) -> int:
-    crc = 0
-    for offset in range(start, stop, _CRC_BLOCK):
-        crc = zlib.crc32(source.read(offset, min(_CRC_BLOCK, stop - offset)), crc)
-    return crc

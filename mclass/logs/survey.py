@@ -11,11 +11,12 @@ from scipy.sparse import csr_array
 
 from mclass import camera
 from mclass.errors import LogError
+from mclass.logs.channels import ChannelInfo
 from mclass.logs.detections import Detections, encode_texts
 from mclass.logs.families import role_of
 from mclass.logs.inputs import InputReader, Inputs
 from mclass.logs.labels import translate_labels
-from mclass.logs.reader import ChannelInfo, LogReader
+from mclass.logs.reader import LogReader
 from mclass.logs.topics import own_prefix
 from mclass.model import Model
 from mclass.records import BoolArray, FloatArray, IntArray, PoseTrack

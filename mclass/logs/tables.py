@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mclass.errors import LogError
+from mclass.logs.channels import ChannelInfo, MessageBatch
 from mclass.logs.decode import ChannelDecoder, Column, decoder_for
-from mclass.logs.reader import ChannelInfo, LogReader, MessageBatch
+from mclass.logs.reader import LogReader
 from mclass.logs.together import together
 from mclass.records import FloatArray, IntArray
 

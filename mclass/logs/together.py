@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from mclass.logs.reader import MessageBatch
+from mclass.logs.channels import MessageBatch
 
 _MANY = 256
 """Batches of so many messages are left as they are."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from mclass.errors import LogError
-from mclass.logs.reader import ChannelInfo, LogReader
+from mclass.logs.channels import ChannelInfo
+from mclass.logs.reader import LogReader
 
 
 def own_prefix(reader: LogReader) -> str:

@@ -12,7 +12,8 @@ import numpy as np
 
 from mclass.classes import BACKGROUND
 from mclass.errors import LogError, UsageError
-from mclass.logs.reader import ChannelInfo, LogReader
+from mclass.logs.channels import ChannelInfo
+from mclass.logs.reader import LogReader
 from mclass.messages.cdr import CdrCodec
 from mclass.messages.definitions import normalise_name, parse_definitions
 from mclass.outputs.channels import METADATA_NAME, MODEL_ATTACHMENT

@@ -20,11 +20,12 @@ from mclass.cells import stored_report
 from mclass.checks import find_violations
 from mclass.config.model_file import parse_model
 from mclass.errors import ConfigError, LogError, UsageError
+from mclass.logs.channels import ChannelInfo, MessageBatch
 from mclass.logs.decode import ChannelDecoder, Column, Columns, decoder_for
 from mclass.logs.decode import json as _json
 from mclass.logs.decode import protobuf as _protobuf
 from mclass.logs.decode import ros as _ros
-from mclass.logs.reader import ChannelInfo, LogReader, MessageBatch
+from mclass.logs.reader import LogReader
 from mclass.logs.writer import LogWriter
 from mclass.messages.definitions import parse_definitions
 from mclass.outputs.readback import OutputLog

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from mclass.records import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from mclass.logs.reader import MessageBatch
+    from mclass.logs.channels import MessageBatch
 
 MAX_LEAVES = 10_000
 

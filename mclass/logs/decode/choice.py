@@ -8,7 +8,7 @@ from mclass.errors import LogError
 from mclass.logs.decode.base import ChannelDecoder
 
 if TYPE_CHECKING:
-    from mclass.logs.reader import ChannelInfo
+    from mclass.logs.channels import ChannelInfo
 
 
 def decoder_for(channel: ChannelInfo) -> ChannelDecoder:

@@ -26,7 +26,7 @@ from mclass.logs.decode.ragged import offsets_from
 from mclass.records import IntArray
 
 if TYPE_CHECKING:
-    from mclass.logs.reader import ChannelInfo, MessageBatch
+    from mclass.logs.channels import ChannelInfo, MessageBatch
 
 MAX_DEPTH = 64
 

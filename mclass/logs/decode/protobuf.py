@@ -50,7 +50,7 @@ from mclass.logs.decode.wireformat import (
 from mclass.records import IntArray
 
 if TYPE_CHECKING:
-    from mclass.logs.reader import ChannelInfo, MessageBatch
+    from mclass.logs.channels import ChannelInfo, MessageBatch
 
 BAD_STAMP = "a stamp is out of range"
 BAD_PACKING = "packed numbers do not fill their field"

@@ -39,7 +39,7 @@ from mclass.messages.definitions import Dialect, normalise_name, parse_definitio
 from mclass.records import BoolArray, IntArray
 
 if TYPE_CHECKING:
-    from mclass.logs.reader import ChannelInfo, MessageBatch
+    from mclass.logs.channels import ChannelInfo, MessageBatch
 
 CUT_SHORT = "payload ends before its last field"
 LONG_STRING = "a string is longer than its message"
