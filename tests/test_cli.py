@@ -649,6 +649,12 @@ class TestProcess:
         done = subprocess.run([program, "--version"], capture_output=True, check=True)
         assert done.stdout == mclass_process("--version").stdout
 
+    def test_the_package_runs_as_a_module(self) -> None:
+        done = subprocess.run(
+            [sys.executable, "-m", "mclass", "--version"], capture_output=True, check=True
+        )
+        assert done.stdout == mclass_process("--version").stdout
+
     @pytest.mark.parametrize(
         ("encoding", "output_format"),
         [

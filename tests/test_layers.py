@@ -44,6 +44,7 @@ LAYERS = (
     ("pipeline", "initialise", "inspection"),
     ("batch", "fusion"),
     ("commands",),
+    ("__main__",),
 )
 """From the ground up. A room may use the rooms of lower layers, not its neighbours'."""
 
