@@ -6,19 +6,17 @@ import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 
 from mclass.classes import BACKGROUND
 from mclass.errors import LogError, UsageError
-from mclass.logs.channels import ChannelInfo
 from mclass.logs.reader import LogReader
-from mclass.messages.cdr import CdrCodec
-from mclass.messages.definitions import normalise_name, parse_definitions
 from mclass.outputs.channels import METADATA_NAME, MODEL_ATTACHMENT
 from mclass.outputs.encoder import NANOSECONDS
 from mclass.outputs.raster import PackedCells, unpack_cells
+from mclass.outputs.stored import StoredMessages
 from mclass.outputs.values import (
     belief_from,
     checked_grid,
@@ -30,23 +28,6 @@ from mclass.records import LabelMeasurements
 from mclass.results import BeliefBlock, ClassMaps, ObjectEstimate
 
 _NO_CHANNELS = "no /mclass channels: run `mclass estimate` first"
-_KINDS: Mapping[str, Sequence[tuple[str, str]]] = {
-    "objects": (("estimates", "mclass_msgs/msg/Estimates"), ("objects", "mclass.Objects")),
-    "grid": (("grid", "foxglove_msgs/msg/Grid"), ("grid", "foxglove.Grid")),
-    "belief": (("belief", "mclass_msgs/msg/Belief"), ("belief", "mclass.Belief")),
-    "measurements": (
-        ("measurements", "mclass_msgs/msg/Measurements"),
-        ("measurements", "mclass.Measurements"),
-    ),
-}
-_FIRST_WINDOW_NS = NANOSECONDS
-_WINDOW_GROWTH = 10
-
-Result = TypeVar("Result")
-
-
-class _Decoder(Protocol):
-    def decode(self, data: memoryview) -> dict[str, Any]: ...
 
 
 class OutputLog:
@@ -82,9 +63,8 @@ class OutputLog:
                 f"the metadata record {METADATA_NAME!r} is not ours or broken ({error})",
                 path=self._path,
             ) from error
-        self._codecs: dict[int, _Decoder] = {}
-        self._channels = {kind: self._find(kind) for kind in _KINDS}
-        if not any(self._channels.values()):
+        self._stored = StoredMessages(reader, self.prefix)
+        if not self._stored.present:
             raise _no_results(reader)
 
     @classmethod
@@ -139,13 +119,12 @@ class OutputLog:
 
     def objects(self) -> tuple[ObjectEstimate, ...]:
         """Latest estimate of every object; only the end of the log is read."""
-        channel = self._channels["objects"]
-        for start_ns in self._starts():
+        for start_ns in self._stored.starts():
             latest = None
-            for _, latest in self._payloads(channel, start_ns):  # noqa: B007
+            for _, latest in self._stored.payloads("objects", start_ns):  # noqa: B007
                 pass
             if latest is not None:
-                return self._estimates(self._decode(channel, latest)["objects"])
+                return self._estimates(self._stored.decode("objects", latest)["objects"])
         return ()
 
     def history(self, object_id: str | None = None) -> dict[str, tuple[ObjectEstimate, ...]]:
@@ -154,14 +133,13 @@ class OutputLog:
         Args:
             object_id: The one object wanted; all when None.
         """
-        channel = self._channels["objects"]
         history: dict[str, list[ObjectEstimate]] = {}
         seen: dict[str, tuple[int, ...]] = {}
-        for _, payload in self._payloads(channel):
+        for _, payload in self._stored.payloads("objects"):
             # Every message repeats the objects that did not change.
             entries = [
                 entry
-                for entry in self._decode(channel, payload)["objects"]
+                for entry in self._stored.decode("objects", payload)["objects"]
                 if object_id in (None, entry["id"]) and seen.get(entry["id"]) != _version(entry)
             ]
             seen.update((entry["id"], _version(entry)) for entry in entries)
@@ -175,14 +153,15 @@ class OutputLog:
         Raises:
             LogError: If there are none.
         """
-        channel = self._channels["grid"]
-        for start_ns in self._starts():
+        for start_ns in self._stored.starts():
             latest = None
-            for latest in self._payloads(channel, start_ns):  # noqa: B007
+            for latest in self._stored.payloads("grid", start_ns):  # noqa: B007
                 pass
             if latest is not None:
                 log_time_ns, payload = latest
-                return self._checked(_maps_from, self._decode(channel, payload), self, log_time_ns)
+                return self._stored.checked(
+                    _maps_from, self._stored.decode("grid", payload), self, log_time_ns
+                )
         raise LogError("the output holds no class map", path=self._path)
 
     def maps_over_time(self, most: int) -> tuple[ClassMaps, ...]:
@@ -191,22 +170,24 @@ class OutputLog:
         Args:
             most: How many at most, 1 or more.
         """
-        channel = self._channels["grid"]
-        count = sum(1 for _ in self._payloads(channel))
+        count = sum(1 for _ in self._stored.payloads("grid"))
         # Counted from the last map backwards, so that this is always one of them.
         shown = min(most, count)
         chosen = {count - 1 - index * count // shown for index in range(shown)}
         return tuple(
-            self._checked(_maps_from, self._decode(channel, payload), self, log_time_ns)
-            for index, (log_time_ns, payload) in enumerate(self._payloads(channel))
+            self._stored.checked(
+                _maps_from, self._stored.decode("grid", payload), self, log_time_ns
+            )
+            for index, (log_time_ns, payload) in enumerate(self._stored.payloads("grid"))
             if index in chosen
         )
 
     def beliefs(self) -> Iterator[BeliefBlock]:
         """Every block of every belief, of the grid and of objects, in file order."""
-        channel = self._channels["belief"]
-        for _, payload in self._payloads(channel):
-            yield self._checked(belief_from, self._decode(channel, payload), self.class_names)
+        for _, payload in self._stored.payloads("belief"):
+            yield self._stored.checked(
+                belief_from, self._stored.decode("belief", payload), self.class_names
+            )
 
     def belief(self, object_id: str = "") -> tuple[BeliefBlock, ...]:
         """All blocks of the latest belief, in order.
@@ -243,82 +224,35 @@ class OutputLog:
         Raises:
             LogError: If there are none, or a part of them is missing.
         """
-        channel = self._channels["measurements"]
         blocks: dict[int, Mapping[str, Any]] = {}
-        for _, payload in self._payloads(channel):
-            value = self._decode(channel, payload)
+        for _, payload in self._stored.payloads("measurements"):
+            value = self._stored.decode("measurements", payload)
             blocks[value["block"]] = value
         if not blocks:
             raise LogError("the output holds no measurements", path=self._path)
         expected = blocks[max(blocks)]["blocks"]
         self._require_all(blocks.keys(), expected, "the measurements")
-        return self._checked(measurements_from, [blocks[number] for number in sorted(blocks)])
-
-    def _find(self, kind: str) -> ChannelInfo | None:
-        """The channel of one kind of result; of several the one that was added last."""
-        wanted = {(f"{self.prefix}/{name}", schema) for name, schema in _KINDS[kind]}
-        found = [
-            channel
-            for channel in self.reader.channels
-            if (channel.topic, channel.schema_name) in wanted
-        ]
-        return found[-1] if found else None
-
-    def _starts(self) -> Iterator[int | None]:
-        """Earliest log times to try, each reaching further back, None for all of the log.
-
-        What is latest stands near the end, so that most of the log need not be unpacked.
-        """
-        start_ns, end_ns = self.reader.start_ns, self.reader.end_ns
-        if start_ns is not None and end_ns is not None:
-            window = _FIRST_WINDOW_NS
-            while end_ns - window > start_ns:
-                yield end_ns - window
-                window *= _WINDOW_GROWTH
-        yield None
-
-    def _payloads(
-        self, channel: ChannelInfo | None, start_ns: int | None = None
-    ) -> Iterator[tuple[int, memoryview]]:
-        """Log time and bytes of every message, in file order."""
-        if channel is None:
-            return
-        for batch in self.reader.batches([channel.id], start_ns):
-            buffer = memoryview(batch.buffer)
-            for offset, length, log_time_ns in zip(
-                batch.offsets.tolist(),
-                batch.lengths.tolist(),
-                batch.log_times_ns.tolist(),
-                strict=True,
-            ):
-                yield log_time_ns, buffer[offset : offset + length]
-
-    def _decode(self, channel: ChannelInfo | None, payload: memoryview) -> dict[str, Any]:
-        """A message as value, by the schema that its channel embeds."""
-        assert channel is not None
-        try:
-            if channel.id not in self._codecs:
-                self._codecs[channel.id] = _codec(channel)
-            return self._codecs[channel.id].decode(payload)
-        except LogError as error:
-            raise LogError(str(error), path=self._path, topic=channel.topic) from error
+        return self._stored.checked(
+            measurements_from, [blocks[number] for number in sorted(blocks)]
+        )
 
     def _estimates(self, entries: Sequence[Mapping[str, Any]]) -> tuple[ObjectEstimate, ...]:
-        return tuple(self._checked(estimate_from, entry, self.class_names) for entry in entries)
+        return tuple(
+            self._stored.checked(estimate_from, entry, self.class_names) for entry in entries
+        )
 
     def _latest_belief(
         self, object_id: str, pick: Callable[[BeliefBlock], BeliefBlock]
     ) -> tuple[BeliefBlock, ...]:
         """What ``pick`` takes out of each block of the latest belief."""
-        channel = self._channels["belief"]
-        for start_ns in self._starts():
+        for start_ns in self._stored.starts():
             blocks: dict[int, BeliefBlock] = {}
             latest: tuple[int, int, int] | None = None
-            for _, payload in self._payloads(channel, start_ns):
-                value = self._decode(channel, payload)
+            for _, payload in self._stored.payloads("belief", start_ns):
+                value = self._stored.decode("belief", payload)
                 if value["object_id"] != object_id:
                     continue
-                block = self._checked(belief_from, value, self.class_names)
+                block = self._stored.checked(belief_from, value, self.class_names)
                 # Blocks of several times can be interleaved.
                 version = block.stamp_ns, block.log_time_ns, block.blocks
                 if latest is None or version > latest:
@@ -336,42 +270,11 @@ class OutputLog:
         if missing:
             raise LogError(f"{missing} of {expected} parts of {what} are lost", path=self._path)
 
-    def _checked(self, build: Callable[..., Result], *arguments: Any) -> Result:
-        """What ``build`` makes, its complaints naming the file.
-
-        A message of another version can lack what this one needs.
-        """
-        try:
-            return build(*arguments)
-        except LogError as error:
-            raise LogError(str(error), path=self._path) from error
-        except (KeyError, ValueError) as error:
-            raise LogError(
-                f"a message does not hold what it should ({error}); it may be of another version",
-                path=self._path,
-            ) from error
-
 
 def _no_results(reader: LogReader) -> LogError:
     lost = "; ".join(reader.damage.losses)
     damaged = f". Or they are lost, since the file is damaged: {lost}" if lost else ""
     return LogError(f"{_NO_CHANNELS}{damaged}", path=str(reader.path))
-
-
-def _codec(channel: ChannelInfo) -> _Decoder:
-    """Decoder of a channel of ours."""
-    if channel.message_encoding == "cdr":
-        text = channel.schema_data.decode("utf-8", "replace")
-        definitions = parse_definitions(channel.schema_name, text, "ros2msg")
-        return CdrCodec(definitions, normalise_name(channel.schema_name))
-    # Loaded when met: a ROS log does not need protobuf, which takes long.
-    if channel.message_encoding == "json":
-        from mclass.messages import proto_json  # noqa: PLC0415
-
-        return proto_json.codec(channel.schema_name)
-    from mclass.messages import protobuf  # noqa: PLC0415
-
-    return protobuf.codec(channel.schema_name)
 
 
 def _version(entry: Mapping[str, Any]) -> tuple[int, ...]:
