@@ -20,6 +20,9 @@ _TILE = 16
 _PAIRS_AT_ONCE = 2**16
 """Cells times detections that are looked at together."""
 
+_DETECTIONS_AT_ONCE = 2**16
+"""Detections whose tiles are found together: a dozen numbers are known of each tile of each."""
+
 TILE_CELLS = _TILE**2
 
 
@@ -173,6 +176,26 @@ def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
     usable = np.flatnonzero(np.isfinite(pointing.directions).all(axis=1))
     if len(usable) == 0:
         return
+    parts = (
+        _tiles_near(grid, pointing, usable[start : start + _DETECTIONS_AT_ONCE])
+        for start in range(0, len(usable), _DETECTIONS_AT_ONCE)
+    )
+    keys, rows = (np.concatenate(found) for found in zip(*parts, strict=True))
+    across = -(-grid.columns // _TILE)
+    order = np.argsort(keys, kind="stable")
+    keys, rows = keys[order], rows[order]
+    starts = np.flatnonzero(np.diff(keys, prepend=-1))
+    stops = np.append(starts[1:], len(keys))
+    for start, stop in zip(starts, stops[: len(starts)], strict=True):
+        upper, left = divmod(int(keys[start]), across)
+        row = np.arange(upper * _TILE, min((upper + 1) * _TILE, grid.rows))
+        column = np.arange(left * _TILE, min((left + 1) * _TILE, grid.columns))
+        cells = (row[:, None] * grid.columns + column[None, :]).ravel()
+        yield Tile(cells, rows[start:stop])
+
+
+def _tiles_near(grid: Grid, pointing: Pointing, usable: IntArray) -> tuple[IntArray, IntArray]:
+    """Numbers of tiles that detections may point at, and the detections, (p,) each."""
     low, high = _bounding_boxes(pointing.select(usable))
     low, high = low - _BORDER, high + _BORDER
     size = grid.cell_size * _TILE
@@ -192,18 +215,7 @@ def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
     centers = np.asarray(grid.origin) + (np.stack([tile_x, tile_y], axis=-1) + 0.5) * size
     rows = usable[owner]
     near = _near_sector(pointing, rows, centers, size * np.sqrt(0.5))
-    keys = (tile_y * across + tile_x)[near]
-    rows = rows[near]
-    order = np.argsort(keys, kind="stable")
-    keys, rows = keys[order], rows[order]
-    starts = np.flatnonzero(np.diff(keys, prepend=-1))
-    stops = np.append(starts[1:], len(keys))
-    for start, stop in zip(starts, stops[: len(starts)], strict=True):
-        upper, left = divmod(int(keys[start]), across)
-        row = np.arange(upper * _TILE, min((upper + 1) * _TILE, grid.rows))
-        column = np.arange(left * _TILE, min((left + 1) * _TILE, grid.columns))
-        cells = (row[:, None] * grid.columns + column[None, :]).ravel()
-        yield Tile(cells, rows[start:stop])
+    return (tile_y * across + tile_x)[near], rows[near]
 
 
 def touching(grid: Grid, pointing: Pointing) -> BoolArray:
