@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,35 +19,20 @@ from .tables import Row, fastest
 
 MEASUREMENTS = (1_000, 10_000, 100_000, 1_000_000)
 CELLS = (2_500, 10_000, 40_000, 160_000)
-IMAGES = (0, 100, 400)
+IMAGES = (0, 100, 400, 1_600)
+CONSTANT = 10_000
+"""Fewer measurements or cells cost less than the tables."""
 
 
 def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
-    rows = []
-    times = [_estimate(runs, *scene.hall(10_000, count)) for count in MEASUREMENTS]
-    rows.append(_fit("measurements", MEASUREMENTS, times, "in a hall of 10,000 cells"))
+    times = [_estimate(runs, *scene.hall(2_500, count)) for count in MEASUREMENTS]
+    rows = [_fit("measurements", MEASUREMENTS, times, "in a hall of 2,500 cells")]
     # So many measurements that every cell is seen as often as in any other hall.
     times = [_estimate(runs, *scene.hall(count, count)) for count in CELLS]
     rows.append(_fit("touched cells", CELLS, times, "each seen equally often"))
-    model = parse_model(generated.MODEL, "model")
-    sizes, times = [], []
-    for images in IMAGES:
-        path = folder / f"{images}.mcap"
-        generated.write_ros(path, 20_000, images=images, size=2**20)
-
-        def read(path: Path = path) -> None:
-            with LogReader.open(path) as reader:
-                read_measurements(reader, model)
-
-        sizes.append(path.stat().st_size)
-        times += fastest(runs, read)
-        path.unlink()
-    found = ", ".join(
-        f"{size / 2**20:,.0f} MB: {seconds:.2f} s"
-        for size, seconds in zip(sizes, times, strict=True)
-    )
-    rows.append(Row("reading 40,000 messages beside images", found, "flat"))
-    return "### Growth (2 threads)", rows
+    for apart, where in ((True, "in other chunks"), (False, "in the same chunks")):
+        rows.append(_beside_images(folder, runs, where, apart=apart))
+    return "### Growth (processor time of 2 threads)", rows
 
 
 def _estimate(runs: int, model: Model, measurements: LabelMeasurements) -> float:
@@ -55,13 +41,36 @@ def _estimate(runs: int, model: Model, measurements: LabelMeasurements) -> float
         for _ in GridEstimate(problem, cuts_every(measurements, None), 2).blocks():
             pass
 
-    return fastest(1 if len(measurements) > 100_000 else runs, run)[0]
+    runs = 1 if len(measurements) >= 100_000 else runs
+    return fastest(runs, run, clock=time.process_time)[0]
+
+
+def _beside_images(folder: Path, runs: int, where: str, *, apart: bool) -> Row:
+    """Time to read the same messages from logs that hold more and more images."""
+    model = parse_model(generated.MODEL, "model")
+    path = folder / "images.mcap"
+
+    def read() -> None:
+        with LogReader.open(path) as reader:
+            read_measurements(reader, model)
+
+    found = []
+    for images in IMAGES:
+        generated.write_ros(path, 20_000, images=images, size=2**20, apart=apart)
+        [seconds] = fastest(runs, read, clock=time.process_time)
+        found.append(f"{path.stat().st_size / 2**20:,.0f} MB: {seconds:.2f} s")
+        path.unlink()
+    return Row(
+        f"reading 40,000 messages, images {where}", ", ".join(found), "flat" if apart else ""
+    )
 
 
 def _fit(what: str, counts: tuple[int, ...], times: list[float], note: str) -> Row:
     """Slope of log time over log count: 1 is linear; below 1 a constant part is still seen."""
-    slope = np.polyfit(np.log(counts[1:]), np.log(times[1:]), 1)[0]
+    many = [index for index, count in enumerate(counts) if count >= CONSTANT]
+    slope = np.polyfit(np.log([counts[i] for i in many]), np.log([times[i] for i in many]), 1)[0]
     found = ", ".join(
         f"{count:,}: {seconds:.2f} s" for count, seconds in zip(counts, times, strict=True)
     )
-    return Row(f"{what}, {note}", f"{found}; exponent {slope:.2f}", "at most 1")
+    from_on = f"exponent from {CONSTANT:,} on {slope:.2f}"
+    return Row(f"{what}, {note}", f"{found}; {from_on}", "at most 1")

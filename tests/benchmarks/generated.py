@@ -110,9 +110,19 @@ def _stamped(messages: list[bytes], count: int) -> Iterator[tuple[int, bytes]]:
 
 
 def write_ros(
-    path: Path, pairs: int, *, boxes: int = 3, ids: bool = True, images: int = 0, size: int = 0
+    path: Path,
+    pairs: int,
+    *,
+    boxes: int = 3,
+    ids: bool = True,
+    images: int = 0,
+    size: int = 0,
+    apart: bool = False,
 ) -> None:
-    """Odometry and detection arrays in turn; beside them so many images of that size, noise."""
+    """Odometry and detection arrays in turn; so many images of that size, noise.
+
+    The images are beside the other messages or, apart, of the same times but behind them all.
+    """
     with LogWriter(path, profile="ros2") as writer:
         moves, looks, pictures = (
             writer.add_channel(topic, "cdr", name, "ros2msg", text)
@@ -129,9 +139,11 @@ def write_ros(
         for number, (move, look) in enumerate(zip(moved, looked, strict=True), 1):
             writer.write(moves, *move)
             writer.write(looks, *look)
-            while drawn < number * images // pairs:
+            while not apart and drawn < number * images // pairs:
                 writer.write(pictures, move[0], noise)
                 drawn += 1
+        for number in range(drawn, images):
+            writer.write(pictures, START_NS + number * pairs // images * STEP_NS, noise)
         writer.attach("mclass.yaml", "application/yaml", MODEL.encode(), START_NS)
 
 
