@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,22 +18,19 @@ from mclass.logs.detections import (
     read_detections,
 )
 from mclass.logs.families import LABEL_NAME_FIELDS
+from mclass.logs.input_tables import InputTables
 from mclass.logs.labels import numbered_names
 from mclass.logs.pose_sources import PoseSource
 from mclass.logs.poses import Track
 from mclass.logs.reader import LogReader
 from mclass.logs.sensors import CameraTrack, Sensor, choose_camera, find_sensor, read_camera
 from mclass.logs.sources import Sources
-from mclass.logs.tables import Decoders, Table, read_tables
+from mclass.logs.tables import Decoders
 from mclass.model import Model, TransformSource
 from mclass.records import IntArray, PoseTrack, Tally
 from mclass.transforms import TransformTree
 
-# Detections are logged after their stamp: poses are read from this much around them.
-_MARGIN_NS = 10_000_000_000
 _DEFAULT_GAP_NS = 500_000_000
-
-Window = tuple[int | None, int | None]
 
 
 @dataclass(frozen=True)
@@ -81,26 +78,20 @@ class InputReader:
     ) -> None:
         self.reader = reader
         self.model = model
-        self.decoders = Decoders(reader)
-        self.sources = sources.find_sources(reader, self.decoders, model)
+        decoders = Decoders(reader)
+        self.sources = sources.find_sources(reader, decoders, model)
         self.max_gap_ns = model.log.max_gap_ns if model is not None else _DEFAULT_GAP_NS
         self.notes: list[str] = []
         self.tally = Tally()
-        self._tables: dict[int, Table] = {}
-        self._tree: TransformTree | None = None
         self._robot_frame = ""
-        self._exact: Window = (start_ns, end_ns)
-        around = _MARGIN_NS + self.max_gap_ns
-        self._around: Window = (
-            None if start_ns is None else max(start_ns - around, 0),
-            None if end_ns is None else min(end_ns + around, 2**63 - 1),
+        self.tables = InputTables(
+            reader, decoders, self.sources, self.max_gap_ns, (start_ns, end_ns), self.tally
         )
-        self._until: Window = (None, self._around[1])
 
     def read(self) -> Inputs:
         """Read all; a log without poses or detections gives empty ones."""
         first_rank = [s for s in self.sources.poses if s.rank == self.sources.poses[0].rank]
-        self._read_ahead(first_rank)
+        self.tables.read_ahead(first_rank)
         detections = self._detections()
         cameras = self._cameras(by_log_time=False)
         track, source = self._choose_poses(detections, cameras)
@@ -128,79 +119,17 @@ class InputReader:
             numbered=self._numbered(),
             notes=tuple(dict.fromkeys(self.notes)),
             tally=self.tally,
-            unreadable={
-                table.channel.topic: table.failures
-                for table in self._tables.values()
-                if table.failures
-            },
+            unreadable=self.tables.unreadable,
             encoding=self._encoding(source),
             robot_frame=self._robot_frame,
-            read_channels=frozenset(self._tables),
+            read_channels=self.tables.read,
         )
-
-    def _tables_of(self, wanted: Mapping[int, Iterable[str]], window: Window) -> list[Table]:
-        """Tables of channels, each read once."""
-        missing = {key: paths for key, paths in wanted.items() if key not in self._tables}
-        if missing:
-            condense = {
-                source.fields.covariance: poses.planar_covariances
-                for source in self.sources.poses
-                if source.fields is not None and source.fields.covariance is not None
-            }
-            tables = read_tables(self.reader, self.decoders, missing, *window, condense=condense)
-            self._tables.update(tables)
-        return [self._tables[key] for key in wanted]
-
-    def _read_ahead(self, pose_sources: Iterable[PoseSource]) -> None:
-        """Read what is surely needed, one pass for each time window."""
-        exact = {s.channel.id: s.paths for s in self.sources.detections}
-        around = {s.channel.id: s.paths for s in self.sources.cameras}
-        until: dict[int, tuple[str, ...]] = {
-            channel.id: LABEL_NAME_FIELDS for channel in self.sources.label_names
-        }
-        for source in pose_sources:
-            if source.channel is not None:
-                # Velocities are integrated from the start of the log, whatever part is used.
-                (until if source.velocity else around)[source.channel.id] = source.paths
-            else:
-                around.update(self._moving_transforms())
-        until.update(self._static_transforms())
-        by_window: dict[Window, dict[int, tuple[str, ...]]] = {}
-        for window, wanted in (
-            (self._exact, exact),
-            (self._around, around),
-            (self._until, until),
-        ):
-            by_window.setdefault(window, {}).update(wanted)
-        for window, wanted in by_window.items():
-            self._tables_of(wanted, window)
-
-    def _static_transforms(self) -> dict[int, tuple[str, ...]]:
-        return {
-            channel.id: self.sources.transforms[channel.id]
-            for channel in self.reader.channels
-            if channel.id in self.sources.transforms and mounting.is_static_topic(channel.topic)
-        }
-
-    def _moving_transforms(self) -> dict[int, tuple[str, ...]]:
-        static = self._static_transforms()
-        return {key: paths for key, paths in self.sources.transforms.items() if key not in static}
-
-    def _tree_of(self, *, moving: bool) -> TransformTree:
-        """The static links, or all of them."""
-        static = self._tables_of(self._static_transforms(), self._until)
-        if not moving:
-            return mounting.read_tree(static, Tally())
-        if self._tree is None:
-            tables = static + self._tables_of(self._moving_transforms(), self._around)
-            self._tree = mounting.read_tree(tables, self.tally)
-        return self._tree
 
     def _detections(self) -> Detections:
         """All detections, empty ones if the log has no channel of them."""
         parts = []
         for source in self.sources.detections:
-            (table,) = self._tables_of({source.channel.id: source.paths}, self._exact)
+            (table,) = self.tables.of({source.channel.id: source.paths}, self.tables.exact)
             if source.fields is None:
                 parts.append(read_annotations(table))
             else:
@@ -221,12 +150,7 @@ class InputReader:
         settings = self.model.log.camera if self.model is not None else None
         rectified = settings is not None and settings.rectified
         for source in self.sources.cameras:
-            wanted = {source.channel.id: source.paths}
-            (table,) = self._tables_of(wanted, self._around)
-            if not len(table) and self._around != (None, None):
-                # Calibrations may be logged once, at the start.
-                del self._tables[source.channel.id]
-                (table,) = self._tables_of(wanted, (None, None))
+            table = self.tables.camera(source)
             track = read_camera(table, source, by_log_time=by_log_time, rectified=rectified)
             if track is not None:
                 found.append(track)
@@ -295,7 +219,7 @@ class InputReader:
     ) -> Track:
         """Poses of one source."""
         if source.channel is None:
-            tree = self._tree_of(moving=True)
+            tree = self.tables.tree(moving=True)
             chain = source.transform or self._guess_chain(tree, detections, cameras)
             if chain is None:
                 return Track(PoseTrack("", "", np.zeros(0, np.int64), np.zeros((0, 3))), _NO_TILT)
@@ -306,8 +230,8 @@ class InputReader:
                     path=str(self.reader.path),
                 )
             return poses.transform_track(tree, chain.parent, chain.child, self.max_gap_ns)
-        window = self._until if source.velocity else self._around
-        (table,) = self._tables_of({source.channel.id: source.paths}, window)
+        window = self.tables.until if source.velocity else self.tables.around
+        (table,) = self.tables.of({source.channel.id: source.paths}, window)
         if source.velocity is not None:
             return poses.read_velocity_track(table, source.velocity, self.max_gap_ns)
         if source.fields is None:
@@ -344,7 +268,7 @@ class InputReader:
         for (topic, frame), number in codes.items():
             looks = np.flatnonzero(code == number)
             for moving in (False, True):
-                tree = self._tree_of(moving=moving)
+                tree = self.tables.tree(moving=moving)
                 robot = self._robot(tree, track, topic, frame, cameras)
                 sensor = find_sensor(
                     topic,
@@ -357,7 +281,7 @@ class InputReader:
                     has_boxes=topic in boxed_topics,
                 )
                 self._robot_frame = robot
-                if sensor.placed or not self._moving_transforms():
+                if sensor.placed or not self.tables.has_moving_transforms:
                     break
             result.append((sensor, looks))
         return tuple(result)
@@ -386,7 +310,7 @@ class InputReader:
     def _numbered(self) -> dict[str, str]:
         names: dict[str, str] = {}
         for channel in self.sources.label_names:
-            for table in self._tables_of({channel.id: LABEL_NAME_FIELDS}, self._until):
+            for table in self.tables.of({channel.id: LABEL_NAME_FIELDS}, self.tables.until):
                 names.update(numbered_names(table))
         return names
 
