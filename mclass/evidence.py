@@ -20,6 +20,7 @@ from numpy.fft import irfft
 from mclass.convolution import ConvolutionTable, at_bins, take_apart
 from mclass.footprint import Pointing
 from mclass.observation import Term, has_bearing
+from mclass.parallel import ordered_map
 from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.spectra import SpectralTable, spectral_table
 from mclass.table import build_table
@@ -218,8 +219,8 @@ class Engine:
         self._add_tabulated(tabulated, classes, pairs.starts)
         return Evidence(classes, background, pairs.counts)
 
-    def _present(self, looks: IntArray) -> IntArray:
-        """Terms that some of the looks add."""
+    def _present(self, looks: IntArray | BoolArray) -> IntArray:
+        """Terms that some of the looks, numbers or a mask, add."""
         seen = np.zeros(len(self.term_weights), dtype=bool)
         seen[looks] = True
         different = np.flatnonzero(seen)
@@ -298,6 +299,22 @@ class Engine:
                 spectra[..., part.classes] += part.many.spectra(*own.columns)
             classes[rows] += at_bins(spectra, self.bins)
 
+    def build_tables(self, threads: int) -> None:
+        """Build the tables that looks from within the maximal range need, several at a time."""
+        points = np.isfinite(self.pointing.widths)
+        levels = np.zeros(len(points)) if self._levels is None else self._levels
+        keys = [
+            (index, 0, level)
+            for level in range(len(_SPREADS))
+            for index in self._present(points & (np.abs(levels - level) < 1.0)).tolist()
+            if self._is_tabulated(self.terms[index]) and (index, 0, level) not in self._tables
+        ]
+        built = ordered_map(lambda key: self._built(*key), keys, threads)
+        self._tables.update(zip(keys, built, strict=True))
+
+    def _is_tabulated(self, term: Term) -> bool:
+        return len(term.classes) > 0 and not self.direct and not has_bearing(term)
+
     def _table(
         self, term: Term, farthest: float, spread: int
     ) -> tuple[SpectralTable, ConvolutionTable]:
@@ -306,17 +323,17 @@ class Engine:
         key = (term.index, doublings, spread)
         with self._lock:
             if key not in self._tables:
-                self._tables[key] = self._built(term, spread, 2.0**doublings)
+                self._tables[key] = self._built(*key)
         return self._tables[key]
 
     def _built(
-        self, term: Term, spread: int, farther: float
+        self, index: int, doublings: int, spread: int
     ) -> tuple[SpectralTable, ConvolutionTable]:
         table = build_table(
-            term,
+            self.terms[index],
             self.bins,
             self.pointing.min_range,
-            self.pointing.max_range * farther,
+            self.pointing.max_range * 2.0**doublings,
             _SPREADS[spread] ** 2,
         )
         return spectral_table(table), take_apart(table)

@@ -62,6 +62,8 @@ def grid_beliefs(
         For each tile one belief a cut; a tile that nothing has touched yet has no cells.
     """
     touched = list(tiles(grid, looks.pointing))
+    if touched:
+        engine.build_tables(threads)
     causes = Causes.found(engine, looks, grid, log_priors, touched)
     cut_of_look = np.searchsorted(cuts_ns, looks.stamps_ns)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,17 @@ def test_blocks_are_identical(inference: InferenceSettings) -> None:
             assert one.block == other.block
             for name in ("cells", "log_class_probability", "log_density", "measurements"):
                 np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("inference", [InferenceSettings(), ROBUST], ids=["paper", "robust"])
+def test_tables_are_built_beforehand(inference: InferenceSettings) -> None:
+    engine = problem_of(inference).engine
+    engine.build_tables(2)
+    built = dict(engine._tables)
+    assert built
+    problem = replace(problem_of(inference), engine=engine)
+    assert list(GridEstimate(problem, cuts_every(problem.measurements, None), 2).blocks())
+    assert engine._tables == built
 
 
 def test_outputs_are_identical(tmp_path: Path) -> None:
