@@ -25,7 +25,7 @@ from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.spectra import SpectralTable, spectral_table
 from mclass.table import build_table
 
-_SPREADS = (0.0, 0.15, 0.3, 0.6, 1.0)
+_SPREADS = (0.0, 0.08, 0.15, 0.22, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0)
 """Standard deviations of the sensor's position [m] for which terms are tabulated."""
 
 _PAIRS_AT_ONCE = 2**13
@@ -348,23 +348,28 @@ class Engine:
         return np.asarray(to_world.swapaxes(-1, -2) @ covariances @ to_world)
 
     def _by_spread(self, pairs: Pairs) -> Iterator[tuple[int, Pairs]]:
-        """Pairs by the tabulated spread nearest to the position uncertainty of their looks."""
+        """Pairs by tabulated spread, shared between the two next to that of their looks."""
         if self._levels is None:
             if len(pairs.looks):
                 yield 0, pairs
             return
         levels = self._levels[pairs.looks]
-        for level in np.flatnonzero(np.bincount(levels)):
-            yield int(level), pairs.select(levels == level)
+        for level in range(len(_SPREADS)):
+            shares = np.maximum(1.0 - np.abs(levels - level), 0.0)
+            if shares.any():
+                yield level, pairs.weighed(shares)
 
     @cached_property
-    def _levels(self) -> IntArray | None:
-        """Number of the tabulated spread of each look, (looks,); None for exact poses."""
+    def _levels(self) -> FloatArray | None:
+        """Where among the tabulated spreads each look's is, (looks,); None for exact poses.
+
+        Log likelihoods between two are taken as linear in the variance.
+        """
         if self.position_covariances is None:
             return None
-        trace = np.trace(self.position_covariances, axis1=1, axis2=2)
-        middles = (np.array(_SPREADS[1:]) + np.array(_SPREADS[:-1])) / 2.0
-        return np.asarray(np.searchsorted(middles, np.sqrt(trace / 2.0)))
+        variances = np.trace(self.position_covariances, axis1=1, axis2=2) / 2.0
+        places = np.arange(len(_SPREADS))
+        return np.asarray(np.interp(variances, np.square(_SPREADS), places))
 
 
 def _row_weights(pairs: Pairs) -> FloatArray:

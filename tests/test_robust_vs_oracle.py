@@ -14,6 +14,7 @@ from oracle_looks import Robust, frames_of, looks_at_cell, looks_at_object, peak
 from scipy.special import logsumexp
 
 from mclass.classes import ClassModel
+from mclass.evidence import Pairs
 from mclass.footprint import Grid
 from mclass.inference import GridEstimate, cuts_every, estimate_objects, prepare
 from mclass.model import ROBUST, GridSettings, InferenceSettings, Model
@@ -166,6 +167,28 @@ def test_object_of_known_position(blurred: bool) -> None:
     )
     block = next(block for block in blocks if block.object_id == "o0")
     same(joint(block, 0), expected.log_classes[:, ::FINER])
+
+
+@pytest.mark.parametrize("std", [0.04, 0.11, 0.34, 0.58, 0.95])
+def test_tables_widen_with_the_poses(std: float) -> None:
+    """Spreads between those tabulated; exact evidence is compared with the oracle above."""
+    classes, _ = classes_of(3)
+    found, rng = drive(3), np.random.default_rng(7)
+    assert found.frames.covariances is not None
+    found.frames.covariances[:] = np.diag([std**2, std**2, 0.0])
+    blurred = dataclasses.replace(ROBUST, pose_uncertainty=True)
+    engine = prepare(model_of(classes, blurred), found).engine
+    count = len(engine.term_weights)
+    looks = Pairs(
+        starts=np.arange(count + 1),
+        looks=np.arange(count),
+        ranges=rng.uniform(0.5, FAR, count),
+        directions=rng.uniform(-math.pi, math.pi, count),
+    )
+    tabulated, direct = engine.evidence(looks).classes, engine.exact_evidence(looks).classes
+    np.testing.assert_allclose(tabulated, direct, rtol=0, atol=0.1)
+    sharp = dataclasses.replace(engine, position_covariances=None).exact_evidence(looks).classes
+    assert np.abs(sharp - direct).max() > 0.1
 
 
 @pytest.mark.parametrize(("seed", "history"), [(4, True), (4, False), (5, False)])
