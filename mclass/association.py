@@ -23,8 +23,8 @@ from mclass.objects import ObjectFilter, pointed_cells
 from mclass.orientation import log_mean_exp
 from mclass.records import FloatArray, IntArray
 
-_MIN_LOG_ODDS = 1.0
-"""An object is born where something is at least this much likelier than nothing."""
+_MIN_LOG_ODDS = 0.0
+"""An object is born where something is likelier than nothing."""
 
 _MIN_DETECTIONS = 3
 _MAX_OBJECTS = 200
