@@ -34,6 +34,9 @@ _ROUNDS = 3
 _MIN_SHARE = 0.05
 """Smaller shares of a detection are not worth their cost."""
 
+_SIGHTS_AT_ONCE = 2**19
+"""Cells times detections; a dozen numbers are known of each."""
+
 _DRIFT = 0.1
 """Standard deviation of the drift between two times that a thing is seen, in greatest ranges."""
 
@@ -220,20 +223,34 @@ class _Search:
 
     def _log_fit(self, looks: Looks, place: _Place) -> FloatArray:
         """Log likelihood of detections, clutter's taken out, if they came from an object, (k,)."""
-        rows, engine = self.rows, self.engine
-        followed = object_looks(looks, rows, np.ones(len(rows)), silence=False)
-        concern = followed.concern(place.centers, self.grid.cell_size, slice(0, len(rows)))
-        at = int(np.argmax(place.mass))
-        aspects = concern.seen.directions[at] - place.orientation
-        views = concern.seen.ranges[at][:, None] * np.stack([np.cos(aspects), np.sin(aspects)], -1)
+        followed = object_looks(looks, self.rows, np.ones(len(self.rows)), silence=False)
+        at_once = max(1, _SIGHTS_AT_ONCE // len(place.centers))
+        fits = []
+        for start in range(0, len(self.rows), at_once):
+            part = slice(start, start + at_once)
+            concern = followed.concern(place.centers, self.grid.cell_size, part)
+            at = int(np.argmax(place.mass))
+            odds = self._log_odds(
+                self.rows[part], concern.seen.ranges[at], concern.seen.directions[at], place
+            )
+            away = logsumexp(concern.log_factor, weights=place.mass[:, None], axis=0)
+            fits.append(odds + away)
+        return np.concatenate(fits)
+
+    def _log_odds(
+        self, rows: IntArray, ranges: FloatArray, directions: FloatArray, place: _Place
+    ) -> FloatArray:
+        """Log odds of detections' labels from some ranges and directions [m], [rad], (k,)."""
+        aspects = directions - place.orientation
+        views = ranges[:, None] * np.stack([np.cos(aspects), np.sin(aspects)], -1)
         odds = np.zeros(len(rows))
-        for term in engine.terms[: engine.term_weights.shape[1]]:
-            weights = engine.term_weights[rows, term.index]
+        for term in self.engine.terms[: self.engine.term_weights.shape[1]]:
+            weights = self.engine.term_weights[rows, term.index]
             value = np.full(len(rows), term.elsewhere)
             if place.class_index in term.classes:
                 value = term.log_likelihood(views)[list(term.classes).index(place.class_index)]
             odds += np.where(weights > 0.0, weights * (value - term.background), 0.0)
-        return odds + logsumexp(concern.log_factor, weights=place.mass[:, None], axis=0)
+        return odds
 
 
 def _only(looks: Looks, rows: IntArray) -> Looks:
