@@ -472,7 +472,7 @@ def test_probabilities_sum_to_one(data: st.DataObject, classes: ClassModel, grid
 
 @pytest.mark.parametrize(
     ("way", "tolerance"),
-    [("row by row", 1e-12), ("convolved", 1e-10), ("whichever is faster", 1e-6)],
+    [("pair by pair", 1e-12), ("convolved", 1e-10), ("whichever is faster", 1e-6)],
 )
 def test_order_does_not_matter(way: str, tolerance: float) -> None:
     """What was seen first may be seen last: only the way of summing shows, no closer than tables.

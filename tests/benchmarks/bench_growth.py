@@ -73,4 +73,4 @@ def _fit(what: str, counts: tuple[int, ...], times: list[float], note: str) -> R
         f"{count:,}: {seconds:.2f} s" for count, seconds in zip(counts, times, strict=True)
     )
     from_on = f"exponent from {CONSTANT:,} on {slope:.2f}"
-    return Row(f"{what}, {note}", f"{found}; {from_on}", "at most 1")
+    return Row(f"{what}, {note}", f"{found}; {from_on}", "1: linear")
