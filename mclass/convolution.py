@@ -30,7 +30,7 @@ from scipy.sparse import csc_array, csr_array
 from mclass.records import FloatArray, IntArray
 from mclass.table import REACH, LikelihoodTable, error_growth, quintic_weights
 
-_LEFT_OUT = 3e-5
+_LEFT_OUT = 8e-6
 """Error allowed, of either sign, for leaving out what adds least to a table."""
 
 _READING_ERROR = 1e-5
