@@ -23,8 +23,9 @@ from mclass.objects import ObjectFilter, pointed_cells
 from mclass.orientation import log_mean_exp
 from mclass.records import FloatArray, IntArray
 
-_MIN_LOG_ODDS = 0.0
-"""An object is born where something is likelier than nothing."""
+_MIN_LOG_ODDS = 1.0
+"""How much likelier something must be than nothing for an object to be born, by one look's worth
+of detections; less by more, as a stray label comes once."""
 
 _MIN_DETECTIONS = 3
 _MAX_OBJECTS = 200
@@ -130,8 +131,8 @@ class _Search:
         )
         groups: list[Group] = []
         while len(left) >= _MIN_DETECTIONS and len(groups) < _MAX_OBJECTS:
-            center, odds = _likeliest_place(engine, _only(self.looks, left), grid, self.log_priors)
-            if center is None or odds < _MIN_LOG_ODDS:
+            center = _likeliest_place(engine, _only(self.looks, left), grid, self.log_priors)
+            if center is None:
                 break
             # A cell of slack: the place is not yet known better than that.
             pointing = self.looks.pointing.select(left)
@@ -264,25 +265,26 @@ def _only(looks: Looks, rows: IntArray) -> Looks:
 
 def _likeliest_place(
     engine: Engine, looks: Looks, grid: Grid, log_priors: FloatArray
-) -> tuple[FloatArray | None, float]:
-    """Centre of the cell with the greatest log odds of something over nothing."""
-    best, place = -np.inf, None
+) -> FloatArray | None:
+    """Centre of the cell with the greatest log odds of something over nothing, if enough."""
+    best, place = 0.0, None
     for tile in tiles(grid, looks.pointing.select(np.arange(looks.n_detections))):
         centers = grid.centers(tile.cells)
         every = np.union1d(tile.rows, looks.frame_looks(np.arange(looks.n_frames)))
         pairs = grid_pairs(looks, centers, grid.cell_size, every)
-        pointed = np.bincount(
-            np.repeat(np.arange(len(centers)), pairs.counts)[pairs.looks < looks.n_detections],
-            minlength=len(centers),
-        )
+        is_detection = pairs.looks < looks.n_detections
+        owners = np.repeat(np.arange(len(centers)), pairs.counts)[is_detection]
+        pointed = np.bincount(owners, minlength=len(centers))
+        scale = None if pairs.scale is None else pairs.scale[is_detection]
+        worth = np.bincount(owners, scale, minlength=len(centers))
         evidence = engine.evidence(pairs)
         something = logsumexp(log_mean_exp(evidence.classes) + log_priors[1:], axis=1)
         odds = something - evidence.background - log_priors[0]
-        odds[pointed < _MIN_DETECTIONS] = -np.inf
+        odds[(pointed < _MIN_DETECTIONS) | (odds * worth < _MIN_LOG_ODDS)] = -np.inf
         at = int(np.argmax(odds))
         if odds[at] > best:
             best, place = float(odds[at]), centers[at]
-    return place, best
+    return place
 
 
 def _group(looks: Looks, rows: IntArray, shares: FloatArray) -> Group:
