@@ -27,18 +27,25 @@ def measure(folder: Path, runs: int) -> tuple[str, list[Row]]:
             best[name] = found
 
     copy, output = folder / "copy.mcap", folder / "out.mcap"
-    for _ in range(runs):
+
+    def clear() -> None:
+        """Every copy is made in the memory that the one before has left, and with a quiet disk."""
         for path in (copy, output):
             path.unlink(missing_ok=True)
         os.sync()
+
+    for _ in range(runs):
+        clear()
         take("durable", run(["sh", "-c", DURABLE, big, copy]))
-        copy.unlink()
-        os.sync()
+        clear()
+        take("big", mclass("estimate", big, "-o", output))
+        clear()
+        take("new", mclass("estimate", big, "--only-new", "-o", output))
+        clear()
+        take("small", mclass("estimate", small, "-o", output))
+        clear()
         take("cp", run(["cp", big, copy]))
         os.sync()
-        take("small", mclass("estimate", small, "-o", folder / "o.mcap", "--overwrite"))
-        take("big", mclass("estimate", big, "-o", output, "--overwrite"))
-        take("new", mclass("estimate", big, "--only-new", "-o", output, "--overwrite"))
         take("place", mclass("estimate", copy, "--in-place"))
     gigabytes = big.stat().st_size / 1e9
     copies = [best[name].seconds for name in ("cp", "durable")]
