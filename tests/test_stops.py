@@ -31,9 +31,9 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
     def fill(log: SceneLog) -> None:
         add_detections(log)
-        for number in range(12):
+        for number in range(40):
             found = [detection({"cup": 0.9}, WIDE, f"o{index}") for index in range(4)]
-            log.detections(0.5 + number / 10, found)
+            log.detections(0.5 + number / 30, found)
 
     return of_kind(scene(tmp_path_factory.mktemp("sound") / "log.mcap", fill), "zstd")
 
@@ -118,6 +118,8 @@ class TestStopped:
         self, number: signal.Signals, code: int, folder: Path, sound: bytes
     ) -> None:
         for _ in range(5):
+            # A run that was done before the signal came has left it.
+            (folder / "log.mclass.mcap").unlink(missing_ok=True)
             with started(folder) as process:
                 wait_for_part(folder, process)
                 process.send_signal(number)
