@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -102,7 +102,7 @@ def estimate(
     from mclass.parallel import available_threads
     from mclass.pipeline import default_output
     from mclass.pipeline import estimate as estimate_log
-    from mclass.text.reports import choices_text
+    from mclass.text.reports import choices_text, run_facts
 
     if output is None and not in_place:
         output = default_output(log)
@@ -123,18 +123,8 @@ def estimate(
             progress=tell.progress,
         )
     tell.detail(choices_text(found, threads))
-    facts: dict[str, Any] = {
-        "input_path": str(log),
-        "output_path": str(found.output),
-        "model_name": found.model.name,
-        "used": found.used,
-        "skipped": found.skipped,
-        "objects": found.objects,
-        "class_names": found.class_names,
-        "frame": found.frame,
-        "damage": found.damage,
-        "notes": () if tell.quiet and output_format == "text" else found.notes,
-    }
+    facts = run_facts(found, str(log), found.output)
+    facts["notes"] = () if tell.quiet and output_format == "text" else found.notes
     if output_format == "json":
         from mclass.text.documents import estimate_json
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -96,7 +96,7 @@ def fuse(
     """
     from mclass.fusion import fuse as fuse_outputs
     from mclass.text.documents import estimate_json
-    from mclass.text.reports import choices_text, estimate_text
+    from mclass.text.reports import choices_text, estimate_text, run_facts
     from mclass.text.terminal import Terminal
 
     with console() as tell:
@@ -119,17 +119,7 @@ def fuse(
 
         save_figure(estimate_figure(found), plot_path)
     tell.detail(choices_text(found, threads=1))
-    facts: dict[str, Any] = {
-        "input_path": ", ".join(map(str, outputs)),
-        "output_path": str(output),
-        "model_name": found.model.name,
-        "used": found.used,
-        "skipped": found.skipped,
-        "objects": found.objects,
-        "class_names": found.class_names,
-        "frame": found.frame,
-        "damage": found.damage,
-    }
+    facts = run_facts(found, ", ".join(map(str, outputs)), output)
     if output_format == "json":
         echo_json({**estimate_json(**facts), "input": [str(path) for path in outputs]})
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mclass.results import ObjectEstimate
 from mclass.text.objects import objects_text
@@ -44,6 +44,21 @@ def estimate_text(
         text = wrap(f"damaged       {terminal.clean(sentence, 1000)}", terminal, " " * 14)
         lines += [terminal.paint(line, "warning") for line in text]
     return "\n".join([*lines, "", objects_text(objects, class_names, frame, terminal)])
+
+
+def run_facts(found: Estimate, input_path: str, output_path: object) -> dict[str, Any]:
+    """What `estimate_text` and `mclass.text.documents.estimate_json` tell of a run."""
+    return {
+        "input_path": input_path,
+        "output_path": str(output_path),
+        "model_name": found.model.name,
+        "used": found.used,
+        "skipped": found.skipped,
+        "objects": found.objects,
+        "class_names": found.class_names,
+        "frame": found.frame,
+        "damage": found.damage,
+    }
 
 
 def choices_text(found: Estimate, threads: int) -> str:
