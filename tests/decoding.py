@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mclass.logs.channels import ChannelInfo, MessageBatch
-from mclass.logs.decode import Column
+from mclass.logs.decode import Column, decoder_for
 
 
 def channel(encoding: str, name: str, schema: bytes | str, schema_encoding: str) -> ChannelInfo:
@@ -71,6 +71,15 @@ def pick(value: Any, path: str) -> Any:
         if hasattr(inner, nanoseconds):
             return int(getattr(inner, seconds)) * 10**9 + int(getattr(inner, nanoseconds))
     return inner
+
+
+def assert_decoded(source: ChannelInfo, messages: Sequence[Any], payloads: Sequence[bytes]) -> None:
+    """All of a batch is read, and every path of it equals what ``pick`` finds in the messages."""
+    decoder = decoder_for(source)
+    columns = decoder.columns(batch(source, payloads), list(decoder.paths))
+    assert columns.failures == {}
+    assert columns.rows.tolist() == list(range(len(messages)))
+    assert_columns(columns.values, messages, decoder.paths)
 
 
 def assert_columns(

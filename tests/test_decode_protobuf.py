@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from decoding import assert_columns, batch, channel, nested, same
+from decoding import assert_columns, assert_decoded, batch, channel, nested, same
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf import descriptor_pool, message_factory
@@ -193,11 +193,7 @@ SLOW = settings(max_examples=40, deadline=None, suppress_health_check=[HealthChe
 def test_random_messages_as_google_reads_them(
     case: tuple[ChannelInfo, list[Any], list[bytes]],
 ) -> None:
-    source, messages, payloads = case
-    decoder = decoder_for(source)
-    columns = decoder.columns(batch(source, payloads), list(decoder.paths))
-    assert columns.failures == {}
-    assert_columns(columns.values, messages, decoder.paths)
+    assert_decoded(*case)
 
 
 @SLOW
@@ -265,11 +261,7 @@ def vary(message: Any, number: int) -> None:
 def test_messages_alike_as_google_reads_them(
     case: tuple[ChannelInfo, list[Any], list[bytes]],
 ) -> None:
-    source, messages, payloads = case
-    decoder = decoder_for(source)
-    columns = decoder.columns(batch(source, payloads), list(decoder.paths))
-    assert columns.failures == {}
-    assert_columns(columns.values, messages, decoder.paths)
+    assert_decoded(*case)
 
 
 @SLOW

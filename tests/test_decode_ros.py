@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from decoding import assert_columns, batch, channel, nested, same
+from decoding import assert_columns, assert_decoded, batch, channel, nested, same
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -157,12 +157,7 @@ SLOW = settings(max_examples=40, deadline=None, suppress_health_check=[HealthChe
 def test_random_messages_as_rosbags_wrote_them(
     case: tuple[ChannelInfo, list[Any], list[bytes]],
 ) -> None:
-    source, messages, payloads = case
-    decoder = decoder_for(source)
-    columns = decoder.columns(batch(source, payloads), list(decoder.paths))
-    assert columns.failures == {}
-    assert columns.rows.tolist() == list(range(len(messages)))
-    assert_columns(columns.values, messages, decoder.paths)
+    assert_decoded(*case)
 
 
 @SLOW
