@@ -202,7 +202,7 @@ NORTH, SOUTH = np.array([0.0, 1.0]), np.array([0.0, -1.0])
 
 
 def test_what_drift_has_parted_is_one() -> None:
-    parted = [(NORTH, np.array([-0.2, 0.0])), (SOUTH, np.array([0.3, 0.1]))]
+    parted = [(NORTH, np.array([-0.25, 0.0])), (SOUTH, np.array([0.35, 0.1]))]
     estimates, _ = estimate_objects(prepare(parse_model(MODEL, "m"), boxes_at(parted)))
     (only,) = last(estimates).values()
     assert only.measurements == 22
