@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from mclass.belief import posterior
-from mclass.evidence import Evidence, Pairs
+from mclass.evidence import Evidence
 from mclass.footprint import Grid, Tile, tiles
 from mclass.gridmap import Causes, tile_pairs
 from mclass.inference import Problem, object_groups
 from mclass.looks import object_looks
 from mclass.orientation import find_modes, refine, resolution_factors
+from mclass.pairs import Pairs
 from mclass.records import FloatArray, IntArray
 from mclass.results import BeliefBlock, CellReport, OrientationMode
 

@@ -38,7 +38,7 @@ _READING_ERROR = 1e-5
 
 ComplexArray = npt.NDArray[np.complex128]
 
-_AT_ONCE = 2**14
+_AT_ONCE = 2**15
 """Measurements of which all there is to know fits the processor's cache."""
 
 _TAPS = 2 * REACH

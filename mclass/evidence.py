@@ -20,6 +20,7 @@ from numpy.fft import irfft
 from mclass.convolution import ConvolutionTable, at_bins, take_apart
 from mclass.footprint import Pointing
 from mclass.observation import Term, has_bearing
+from mclass.pairs import Pairs
 from mclass.parallel import ordered_map
 from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.spectra import SpectralTable, spectral_table
@@ -31,73 +32,10 @@ _SPREADS = (0.0, 0.08, 0.15, 0.22, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0)
 _PAIRS_AT_ONCE = 2**13
 """Pairs that are evaluated together: all there is to know of them fits the processor's cache."""
 
-_CONVOLVED_AT_ONCE = 2**15
-_TRANSFORMED_AT_ONCE = 2**18
+_CONVOLVED_AT_ONCE = 2**16
+_TRANSFORMED_AT_ONCE = 2**19
 _SPECTRA_AT_ONCE = 2**17
 """Pairs, numbers to be transformed, and numbers added for each pair, for the same reason."""
-
-
-@dataclass(frozen=True)
-class Pairs:
-    """Cells with the looks that concern them.
-
-    Attributes:
-        starts: Row ``i`` owns pairs ``starts[i]:starts[i + 1]``, (rows + 1,).
-        looks: Index of the look of each pair, (p,).
-        ranges: Distance of sensor and cell [m], (p,).
-        directions: World direction of the sensor seen from the cell [rad], (p,).
-        scale: Weight of each pair's log likelihood, (p,), or None for one each.
-    """
-
-    starts: IntArray
-    looks: IntArray
-    ranges: FloatArray
-    directions: FloatArray
-    scale: FloatArray | None = None
-
-    def select(self, mask: BoolArray) -> Pairs:
-        """Only the pairs in the mask, over the same rows."""
-        if mask.all():
-            return self
-        kept = np.flatnonzero(mask)
-        return Pairs(
-            starts=np.searchsorted(kept, self.starts),
-            looks=self.looks[kept],
-            ranges=self.ranges[kept],
-            directions=self.directions[kept],
-            scale=None if self.scale is None else self.scale[kept],
-        )
-
-    def within(self, rows: slice) -> Pairs:
-        """Only the pairs of some of the rows, and these rows alone."""
-        starts = self.starts[rows.start : rows.stop + 1]
-        own = slice(starts[0], starts[-1])
-        return Pairs(
-            starts=starts - starts[0],
-            looks=self.looks[own],
-            ranges=self.ranges[own],
-            directions=self.directions[own],
-            scale=None if self.scale is None else self.scale[own],
-        )
-
-    def weighed(self, weights: FloatArray) -> Pairs:
-        """Pairs of positive weight, (p,), their scale multiplied by it."""
-        positive = weights > 0.0
-        chosen = self.select(positive)
-        weights = weights[positive]
-        if (weights == 1.0).all():
-            return chosen
-        return replace(chosen, scale=weights if chosen.scale is None else chosen.scale * weights)
-
-    @property
-    def counts(self) -> IntArray:
-        """Pairs in each row, (rows,)."""
-        return np.diff(self.starts)
-
-    @property
-    def columns(self) -> tuple[IntArray, FloatArray, FloatArray, FloatArray | None]:
-        """What tables are read with: starts, ranges, directions, scale."""
-        return self.starts, self.ranges, self.directions, self.scale
 
 
 @dataclass(frozen=True)
@@ -216,7 +154,7 @@ class Engine:
                 classes[:, term.classes] += self._direct(term, chosen)
             else:
                 tabulated += self._tabulated(term, chosen)
-        self._add_tabulated(tabulated, classes, pairs.starts)
+        self._add_tabulated(tabulated, classes, pairs)
         return Evidence(classes, background, pairs.counts)
 
     def _present(self, looks: IntArray | BoolArray) -> IntArray:
@@ -274,11 +212,11 @@ class Engine:
         for level, part in self._by_spread(pairs):
             yield _Part(classes, *self._table(term, float(part.ranges.max()), level), part)
 
-    def _add_tabulated(self, parts: Sequence[_Part], classes: FloatArray, starts: IntArray) -> None:
-        """Add terms to rows, (rows, n, bins); their pairs in all start where stated."""
+    def _add_tabulated(self, parts: Sequence[_Part], classes: FloatArray, pairs: Pairs) -> None:
+        """Add terms to rows, (rows, n, bins), given all of their pairs."""
         read = [part for part in parts if not part.is_many]
         most = _SPECTRA_AT_ONCE // max((part.few.size for part in read), default=1)
-        for rows in _blocks(starts, most, most) if read else ():
+        for rows in pairs.blocks(most, most) if read else ():
             shape = (rows.stop - rows.start, self.n_classes, self.bins // 2 + 1)
             spectra = np.zeros(shape, dtype=complex)
             for part in read:
@@ -291,7 +229,7 @@ class Engine:
         if not convolved:
             return
         size = max(part.many.size for part in convolved)
-        for rows in _blocks(starts, _CONVOLVED_AT_ONCE, max(1, _TRANSFORMED_AT_ONCE // size)):
+        for rows in pairs.blocks(_CONVOLVED_AT_ONCE, max(1, _TRANSFORMED_AT_ONCE // size)):
             shape = (self.bins // 2 + 1, rows.stop - rows.start, self.n_classes)
             spectra = np.zeros(shape, dtype=complex)
             for part in convolved:
@@ -378,22 +316,6 @@ def _row_weights(pairs: Pairs) -> FloatArray:
         return pairs.counts.astype(float)
     sums = np.concatenate([[0.0], np.cumsum(pairs.scale)])
     return np.asarray(sums[pairs.starts[1:]] - sums[pairs.starts[:-1]])
-
-
-def _blocks(starts: IntArray, most_pairs: int, most_rows: int | None = None) -> Iterator[slice]:
-    """Cut rows into blocks.
-
-    Args:
-        starts: Row ``i`` owns pairs ``starts[i]:starts[i + 1]``, (rows + 1,).
-        most_pairs: Of a block of more than one row.
-        most_rows: Of a block.
-    """
-    first, rows = 0, len(starts) - 1
-    while first < rows:
-        fitting = int(np.searchsorted(starts, starts[first] + most_pairs, side="right")) - 1
-        last = min(max(fitting, first + 1), first + (most_rows or rows), rows)
-        yield slice(first, last)
-        first = last
 
 
 def _many(few: SpectralTable, many: ConvolutionTable, rows: int, pairs: int) -> bool:

@@ -7,14 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mclass.allocation import keep_freed_memory
 from mclass.belief import Posterior, posterior
-from mclass.evidence import Engine, Evidence, Pairs
+from mclass.evidence import Engine, Evidence
 from mclass.footprint import Grid, Tile, tiles
 from mclass.looks import Looks, grid_pairs
+from mclass.pairs import Pairs
 from mclass.parallel import ordered_map
 from mclass.records import FloatArray, IntArray
 
-_PAIRS_AT_ONCE = 2**16
+_PAIRS_AT_ONCE = 2**18
 """Cells times looks that are worked on at once."""
 
 _ROUNDS = 4
@@ -61,6 +63,7 @@ def grid_beliefs(
     Yields:
         For each tile one belief a cut; a tile that nothing has touched yet has no cells.
     """
+    keep_freed_memory()
     touched = list(tiles(grid, looks.pointing))
     if touched:
         engine.build_tables(threads)

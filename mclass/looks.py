@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mclass.correlation import shared_votes
-from mclass.evidence import Pairs
 from mclass.footprint import Pointing, Sight, sight
 from mclass.geometry import wrap_angle
 from mclass.model import InferenceSettings
+from mclass.pairs import Pairs
 from mclass.records import BoolArray, FloatArray, IntArray
 
 

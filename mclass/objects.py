@@ -16,11 +16,12 @@ import numpy as np
 
 from mclass.belief import log_orientation_density
 from mclass.correlation import shared_votes
-from mclass.evidence import Engine, Evidence, Pairs
+from mclass.evidence import Engine, Evidence
 from mclass.footprint import Grid, Pointing, sight, tiles
 from mclass.logarithms import logsumexp
 from mclass.looks import Concern, ObjectLooks
 from mclass.orientation import log_mean_exp, peaks
+from mclass.pairs import Pairs
 from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.results import BeliefBlock, ObjectEstimate
 from mclass.summary import NEGLIGIBLE, Readout

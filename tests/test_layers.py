@@ -20,7 +20,7 @@ MATHEMATICS = (
     ("geometry", "transforms", "viewpoints"),
     ("camera", "classes"),
     ("footprint", "observation", "model"),
-    ("table", "results", "checks"),
+    ("pairs", "table", "results", "checks"),
     ("convolution", "correlation", "orientation", "spectra"),
     ("evidence",),
     ("belief", "looks", "summary"),
@@ -30,7 +30,7 @@ MATHEMATICS = (
     ("cells", "arrays", "joining"),
 )
 LAYERS = (
-    ("parallel", "progress"),
+    ("allocation", "parallel", "progress"),
     *MATHEMATICS,
     ("places",),
     ("resources", "rules", "findings"),

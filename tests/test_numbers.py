@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import lopsided_model, measurements_of
 
-from mclass.evidence import Pairs
 from mclass.findings import Estimate
 from mclass.geometry import wrap_angle
 from mclass.inference import prepare
 from mclass.model import PAPER, ROBUST, GridSettings, InferenceSettings, Model
+from mclass.pairs import Pairs
 from mclass.pipeline import infer
 from mclass.records import Frames, IntArray, LabelMeasurements
 from mclass.text.documents import objects_json

@@ -14,10 +14,10 @@ from oracle_looks import Robust, frames_of, looks_at_cell, looks_at_object, peak
 from scipy.special import logsumexp
 
 from mclass.classes import ClassModel
-from mclass.evidence import Pairs
 from mclass.footprint import Grid
 from mclass.inference import GridEstimate, cuts_every, estimate_objects, prepare
 from mclass.model import ROBUST, GridSettings, InferenceSettings, Model
+from mclass.pairs import Pairs
 from mclass.records import FloatArray, Frames, LabelMeasurements
 from mclass.results import BeliefBlock
 
