@@ -60,7 +60,7 @@ def grid_history(problem: Problem, cell: int) -> list[CellReport]:
         problem.model.classes.log_priors,
         list(tiles(grid, looks.pointing)),
     )
-    alone = Tile(np.array([cell]), np.arange(len(looks.frames)))
+    alone = Tile(np.array([cell]), np.arange(len(looks.frames), dtype=np.int32))
     return _history(problem, grid, cell, tile_pairs(looks, grid, alone, causes))
 
 

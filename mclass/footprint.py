@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
+from mclass.blockwise import blocks
 from mclass.geometry import NO_WIDTH, opening_angles, wrap_angle
 from mclass.records import BoolArray, FloatArray, IntArray
 
@@ -20,8 +22,8 @@ _TILE = 16
 _PAIRS_AT_ONCE = 2**16
 """Cells times detections that are looked at together."""
 
-_DETECTIONS_AT_ONCE = 2**16
-"""Detections whose tiles are found together: a dozen numbers are known of each tile of each."""
+_TOUCHING_AT_ONCE = 2**16
+"""Detections that are looked for in all tiles together: a dozen numbers are known of each tile."""
 
 TILE_CELLS = _TILE**2
 
@@ -123,9 +125,12 @@ def covering_grid(pointing: Pointing, cell_size: float) -> Grid | None:
     used = np.isfinite(pointing.directions).all(axis=1)
     if not used.any():
         return None
-    low, high = _bounding_boxes(pointing.select(np.flatnonzero(used)))
-    first = np.floor(low.min(axis=0) / cell_size).astype(int)
-    last = np.ceil(high.max(axis=0) / cell_size).astype(int)
+    rows = np.flatnonzero(used)
+    corners = [_bounding_boxes(pointing.select(rows[part])) for part in blocks(len(rows))]
+    low = np.min([low.min(axis=0) for low, _ in corners], axis=0)
+    high = np.max([high.max(axis=0) for _, high in corners], axis=0)
+    first = np.floor(low / cell_size).astype(int)
+    last = np.ceil(high / cell_size).astype(int)
     columns, rows = np.maximum(last - first, 1)
     origin = (float(first[0] * cell_size), float(first[1] * cell_size))
     return Grid(origin, cell_size, int(rows), int(columns))
@@ -154,17 +159,22 @@ class Tile:
 
     Attributes:
         cells: Flat cell indices, (m,).
-        rows: Detections, increasing, (k,).
+        numbers: Detections, increasing, (k,); in 32 bits, since a grid's tiles name each often.
     """
 
     cells: IntArray
-    rows: IntArray
+    numbers: npt.NDArray[np.int32]
+
+    @property
+    def rows(self) -> IntArray:
+        """Detections, increasing, (k,)."""
+        return self.numbers.astype(np.int64)
 
     def parts(self, most_pairs: int) -> Iterator[Tile]:
         """The tile cut into runs of cells so that each has few pairs of cells and detections."""
-        step = max(1, most_pairs // max(1, len(self.rows)))
+        step = max(1, most_pairs // max(1, len(self.numbers)))
         for start in range(0, len(self.cells), step):
-            yield Tile(self.cells[start : start + step], self.rows)
+            yield Tile(self.cells[start : start + step], self.numbers)
 
 
 def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
@@ -176,22 +186,22 @@ def tiles(grid: Grid, pointing: Pointing) -> Iterator[Tile]:
     usable = np.flatnonzero(np.isfinite(pointing.directions).all(axis=1))
     if len(usable) == 0:
         return
-    parts = (
-        _tiles_near(grid, pointing, usable[start : start + _DETECTIONS_AT_ONCE])
-        for start in range(0, len(usable), _DETECTIONS_AT_ONCE)
-    )
-    keys, rows = (np.concatenate(found) for found in zip(*parts, strict=True))
+    parts = (_tiles_near(grid, pointing, usable[part]) for part in blocks(len(usable)))
     across = -(-grid.columns // _TILE)
-    order = np.argsort(keys, kind="stable")
-    keys, rows = keys[order], rows[order]
-    starts = np.flatnonzero(np.diff(keys, prepend=-1))
-    stops = np.append(starts[1:], len(keys))
-    for start, stop in zip(starts, stops[: len(starts)], strict=True):
-        upper, left = divmod(int(keys[start]), across)
+    # Tile and detection in one number: both are sorted at once, and nothing is moved besides.
+    count = len(pointing.positions)
+    found = np.concatenate([keys * count + rows for keys, rows in parts])
+    found.sort()
+    start = 0
+    while start < len(found):
+        key = int(found[start]) // count
+        stop = int(np.searchsorted(found, (key + 1) * count))
+        upper, left = divmod(key, across)
         row = np.arange(upper * _TILE, min((upper + 1) * _TILE, grid.rows))
         column = np.arange(left * _TILE, min((left + 1) * _TILE, grid.columns))
         cells = (row[:, None] * grid.columns + column[None, :]).ravel()
-        yield Tile(cells, rows[start:stop])
+        yield Tile(cells, (found[start:stop] - key * count).astype(np.int32))
+        start = stop
 
 
 def _tiles_near(grid: Grid, pointing: Pointing, usable: IntArray) -> tuple[IntArray, IntArray]:
@@ -220,11 +230,21 @@ def _tiles_near(grid: Grid, pointing: Pointing, usable: IntArray) -> tuple[IntAr
 
 def touching(grid: Grid, pointing: Pointing) -> BoolArray:
     """Which detections point at some cell of the grid, (k,)."""
+    return np.concatenate(
+        [
+            _touching(grid, pointing.select(np.arange(part.start, part.stop)))
+            for part in blocks(len(pointing.positions), _TOUCHING_AT_ONCE)
+        ]
+    )
+
+
+def _touching(grid: Grid, pointing: Pointing) -> BoolArray:
     touches = np.zeros(len(pointing.positions), dtype=bool)
     for tile in tiles(grid, pointing):
         # Most are found in their first tile, and are not looked for again.
-        rows = tile.rows[~touches[tile.rows]]
-        for part in Tile(tile.cells, rows).parts(_PAIRS_AT_ONCE) if len(rows) else ():
+        unseen = Tile(tile.cells, tile.numbers[~touches[tile.numbers]])
+        rows = unseen.rows
+        for part in unseen.parts(_PAIRS_AT_ONCE) if len(rows) else ():
             seen = sight(grid.centers(part.cells), grid.cell_size, pointing.select(rows))
             touches[rows] |= seen.inside.any(axis=0)
     return touches

@@ -119,6 +119,8 @@ def estimate(
         window = find_window(reader, start, end)
         contents = read_measurements(reader, model, *window)
         problem = prepare(model, contents.measurements)
+        # Not to be held in two orders.
+        contents = replace(contents, measurements=problem.measurements)
         require_memory(problem, len(_cuts(problem, every_s)), threads)
         skipped = _skipped(problem, contents.tally.counts)
         losses = (*reader.damage.losses, *contents.losses)

@@ -123,6 +123,8 @@ class LabelMeasurements:
         object_index = np.append(_ranks(np.array(ids, dtype=np.int64)), -1)[self.object_index]
         keys = (self._label_ranks(), *self.directions.T, object_index, frame_index)
         order = np.lexsort(keys)
+        if all(np.array_equal(o, np.arange(len(o))) for o in (frame_order, order, ids)):
+            return self
         counts = np.diff(self.label_offsets)[order]
         offsets = np.concatenate([[0], np.cumsum(counts)])
         # The place of each label: its row's old start, and how far it stands behind it.
@@ -149,10 +151,18 @@ class LabelMeasurements:
 
     def _label_ranks(self) -> IntArray:
         """A number for each row's labels and scores, equal ones alike, (n,)."""
-        spans = zip(self.label_offsets[:-1].tolist(), self.label_offsets[1:].tolist(), strict=True)
-        keys = [self.labels[a:b].tobytes() + self.scores[a:b].tobytes() for a, b in spans]
-        ranks = {key: rank for rank, key in enumerate(sorted(set(keys)))}
-        return np.array([ranks[key] for key in keys], dtype=np.int64)
+        counts = np.diff(self.label_offsets)
+        ranks = np.empty(len(counts), dtype=np.int64)
+        before = 0
+        for count in np.unique(counts).tolist():
+            rows = np.flatnonzero(counts == count)
+            places = self.label_offsets[:-1][rows, None] + np.arange(count)
+            values = np.concatenate([self.labels[places], self.scores[places]], axis=1)
+            order = np.lexsort(values.T) if count else np.arange(len(rows))
+            is_new = np.append(False, (np.diff(values[order], axis=0) != 0).any(axis=1))
+            ranks[rows[order]] = before + np.cumsum(is_new)
+            before += 1 + int(is_new.sum())
+        return ranks
 
     def label_names_of(self, row: int) -> tuple[str, ...]:
         """Names of the labels in one row."""

@@ -30,7 +30,7 @@ MATHEMATICS = (
     ("cells", "arrays", "joining"),
 )
 LAYERS = (
-    ("allocation", "parallel", "progress"),
+    ("allocation", "blockwise", "parallel", "progress"),
     *MATHEMATICS,
     ("places",),
     ("resources", "rules", "findings"),

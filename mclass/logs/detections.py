@@ -122,7 +122,7 @@ def read_detections(table: Table, fields: DetectionFields) -> Detections:
     ids = np.full(count, "", dtype=object)
     if fields.id is not None:
         ids = as_ids(table.at_level(fields.id, element))
-    has_bearing, bearings = np.zeros(count, bool), np.full((count, 2), np.nan)
+    has_bearing, bearings = np.zeros(count, bool), _none(count, 2)
     if fields.bearing is not None:
         sides = [table.at_level(path, element) for path in fields.bearing]
         bearings = np.stack(sides, axis=1).astype(float)
@@ -239,6 +239,11 @@ def _frame_names(table: Table, alternatives: Sequence[str]) -> TextArray:
     return clean_frames(names)
 
 
+def _none(count: int, numbers: int) -> FloatArray:
+    """NaN in so many rows, in no more memory than one takes."""
+    return np.broadcast_to(np.nan, (count, numbers))
+
+
 def clean_frames(names: npt.NDArray[Any]) -> TextArray:
     """Frame names without the leading slash of old ROS."""
     distinct, codes = encode_texts(names)
@@ -270,7 +275,7 @@ def _boxes(
     table: Table, box: BoxFields | None, element: str, count: int
 ) -> tuple[BoolArray, FloatArray]:
     """Left, top, right, bottom of every detection, and which have a box at all."""
-    nothing = np.zeros(count, bool), np.full((count, 4), np.nan)
+    nothing = np.zeros(count, bool), _none(count, 4)
     if box is None or not count:
         return nothing
     if len(box.paths) == 4:
@@ -325,7 +330,11 @@ def _volumes(
 ) -> tuple[BoolArray, FloatArray]:
     """Position, orientation, size of 3-D boxes, and which detections have one."""
     if not paths:
-        return np.zeros(count, bool), np.full((count, 10), np.nan)
-    values = np.stack([table.at_level(path, element) for path in paths], axis=1).astype(float)
-    # A box at the sensor's own origin without size is a message that was not filled in.
-    return (values[:, [0, 1, 2, 7, 8, 9]] != 0.0).any(axis=1), values
+        return np.zeros(count, bool), _none(count, 10)
+    values, filled = np.empty((count, 10)), np.zeros(count, bool)
+    for column, path in enumerate(paths):
+        values[:, column] = table.at_level(path, element)
+        if not 3 <= column < 7:
+            # A box at the sensor's own origin without size is a message that was not filled in.
+            filled |= values[:, column] != 0.0
+    return filled, values

@@ -213,6 +213,10 @@ def hull(directions: FloatArray, rows: IntArray, n_rows: int) -> FloatArray:
     """
     usable = np.flatnonzero(transforms.finite_rows(directions))
     result = np.full((n_rows, 2), np.nan)
+    # One arc alone stays as it is, to the last bit.
+    alone = np.bincount(rows[usable], minlength=n_rows)[rows[usable]] == 1
+    result[rows[usable[alone]]] = directions[usable[alone]]
+    usable = usable[~alone]
     if not len(usable):
         return result
     rows, right = rows[usable], directions[usable, 0]
@@ -226,10 +230,8 @@ def hull(directions: FloatArray, rows: IntArray, n_rows: int) -> FloatArray:
     np.minimum.at(lowest, rows, start)
     np.maximum.at(highest, rows, start + width)
     filled = rows[first]
-    # One arc alone stays as it is, to the last bit.
-    alone = np.bincount(rows, minlength=n_rows)[filled] == 1
     arcs = np.stack([lowest[filled], highest[filled]], axis=1) + reference[filled, None]
-    result[filled] = np.where(alone[:, None], directions[usable[first]], wrap_angle(arcs))
+    result[filled] = wrap_angle(arcs)
     return result
 
 

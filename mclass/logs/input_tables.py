@@ -51,6 +51,7 @@ class InputTables:
         self._decoders = decoders
         self._sources = sources
         self._tables: dict[int, Table] = {}
+        self._failures: dict[int, Mapping[str, int]] = {}
         self._tree: TransformTree | None = None
         self._tally = tally
         start_ns, end_ns = window
@@ -65,14 +66,13 @@ class InputTables:
     @property
     def read(self) -> frozenset[int]:
         """Ids of all channels that were read."""
-        return frozenset(self._tables)
+        return frozenset(self._failures)
 
     @property
     def unreadable(self) -> dict[str, Mapping[str, int]]:
         """Messages that could not be decoded, by topic and reason."""
-        return {
-            table.channel.topic: table.failures for table in self._tables.values() if table.failures
-        }
+        topics = {channel.id: channel.topic for channel in self._reader.channels}
+        return {topics[key]: failures for key, failures in self._failures.items() if failures}
 
     def of(self, wanted: Mapping[int, Iterable[str]], window: Window) -> list[Table]:
         """Tables of channels, each read once."""
@@ -85,7 +85,12 @@ class InputTables:
             }
             tables = read_tables(self._reader, self._decoders, missing, *window, condense=condense)
             self._tables.update(tables)
+            self._failures.update({key: table.failures for key, table in tables.items()})
         return [self._tables[key] for key in wanted]
+
+    def forget(self, channel_id: int) -> None:
+        """Let go of a table that is not asked for again."""
+        self._tables.pop(channel_id, None)
 
     def read_ahead(self, pose_sources: Iterable[PoseSource]) -> None:
         """Read what is surely needed, one pass for each time window."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mclass import camera, geometry, transforms
+from mclass.blockwise import blocks
 from mclass.errors import ModelError
 from mclass.logs import directions
 from mclass.logs.inputs import Inputs
@@ -58,13 +59,14 @@ def place_looks(inputs: Inputs, max_gap_ns: int) -> PlacedLooks:
     for index, (sensor, rows) in enumerate(inputs.sensors):
         looks.sensor_index[rows] = index
         looks.mounted[rows] = sensor.mounted
-        posed = looks.posed[rows]
-        _place_sensor(inputs, looks, sensor, rows[posed], posed)
+        posed = np.flatnonzero(looks.posed[rows])
+        for part in blocks(len(posed)):
+            _place_sensor(inputs, looks, sensor, rows[posed[part]], posed[part])
     return looks
 
 
 def _place_sensor(
-    inputs: Inputs, looks: PlacedLooks, sensor: Sensor, rows: IntArray, posed: BoolArray
+    inputs: Inputs, looks: PlacedLooks, sensor: Sensor, rows: IntArray, posed: IntArray
 ) -> None:
     """Fill in the looks ``rows`` of one sensor, which have poses."""
     if not len(rows):

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mclass import geometry, transforms
+from mclass.blockwise import blockwise
 from mclass.logs.decode import ABSENT, Column, is_absent
 from mclass.logs.detections import TextArray, clean_frames, read_stamps
 from mclass.logs.families import VelocityFamily
@@ -192,13 +193,18 @@ def planar_covariances(column: Column) -> Column:
 
 def is_positive_semidefinite(matrices: FloatArray) -> BoolArray:
     """Which of (n, k, k) matrices are covariances: finite, symmetric, no negative direction."""
+    (sound,) = blockwise(_positive_semidefinite, matrices)
+    return np.asarray(sound)
+
+
+def _positive_semidefinite(matrices: FloatArray) -> tuple[BoolArray]:
     limit = transforms.MAX_DISTANCE**2
     finite = np.asarray((np.isfinite(matrices) & (np.abs(matrices) <= limit)).all(axis=(1, 2)))
     safe = np.where(finite[:, None, None], matrices, 0.0)
     scale = np.abs(safe).max(axis=(1, 2), initial=0.0)
     skew = np.abs(safe - np.swapaxes(safe, 1, 2)).max(axis=(1, 2), initial=0.0)
     lowest = np.linalg.eigvalsh(0.5 * (safe + np.swapaxes(safe, 1, 2)))[:, 0]
-    return np.asarray(finite & (skew <= 1e-6 * scale) & (lowest >= -1e-9 * scale))
+    return (np.asarray(finite & (skew <= 1e-6 * scale) & (lowest >= -1e-9 * scale)),)
 
 
 def _orientations(table: Table, fields: PoseFields) -> tuple[FloatArray, BoolArray]:

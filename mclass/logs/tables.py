@@ -24,6 +24,7 @@ from mclass.records import FloatArray, IntArray
 _Found = TypeVar("_Found")
 
 _LEARNED_AT_ONCE = 50
+_JOINED_AT_ONCE = 8
 
 
 @dataclass(frozen=True)
@@ -223,32 +224,63 @@ def read_tables(
     """
     channels = {channel.id: channel for channel in reader.channels if channel.id in wanted}
     paths = {key: tuple(dict.fromkeys(wanted[key])) for key in channels}
-    times: dict[int, list[IntArray]] = {key: [] for key in channels}
-    parts: dict[int, list[Mapping[str, Column]]] = {key: [] for key in channels}
+    parts: dict[int, list[_Part]] = {key: [] for key in channels}
     failures: dict[int, dict[str, int]] = {key: {} for key in channels}
     if not channels:
         return {}
     for batch in together(reader.batches(list(channels), start_ns, end_ns)):
         key = batch.channel.id
         columns = decoders.of(batch.channel).columns(batch, paths[key])
-        times[key].append(batch.log_times_ns[columns.rows])
         values = dict(columns.values)
         for path, keep in (condense or {}).items():
             if path in values:
                 values[path] = keep(values[path])
-        parts[key].append(values)
+        parts[key].append(_Part(batch.log_times_ns[columns.rows], values))
+        parts[key] = _tidied(parts[key])
         for reason, count in columns.failures.items():
             failures[key][reason] = failures[key].get(reason, 0) + count
-    return {
-        key: Table(
+    tables = {}
+    for key, channel in channels.items():
+        whole = _joined(paths[key], parts.pop(key))
+        tables[key] = Table(
             channel,
-            np.concatenate([np.zeros(0, np.int64), *times[key]]).astype(np.int64),
-            {path: _join(path, [part[path] for part in parts[key]]) for path in paths[key]},
+            whole.log_times_ns,
+            whole.columns,
             {path: decoders.of(channel).paths[path] for path in paths[key]},
             failures[key],
         )
-        for key, channel in channels.items()
-    }
+    return tables
+
+
+@dataclass
+class _Part:
+    """Some messages of a channel, one behind the other."""
+
+    log_times_ns: IntArray
+    columns: dict[str, Column]
+    batches: int = 1
+
+
+def _tidied(parts: list[_Part]) -> list[_Part]:
+    """Parts, the last ones joined as long as there are many of one size.
+
+    Many small arrays would leave memory in pieces; so each is moved a few times, not once.
+    """
+    while True:
+        last = parts[-_JOINED_AT_ONCE:]
+        if len(last) < _JOINED_AT_ONCE or last[0].batches != last[-1].batches:
+            return parts
+        parts = [*parts[:-_JOINED_AT_ONCE], _joined(last[0].columns, last)]
+
+
+def _joined(paths: Iterable[str], parts: list[_Part]) -> _Part:
+    """All parts as one; they are emptied column by column, so that memory holds none twice."""
+    times = [part.log_times_ns for part in parts]
+    return _Part(
+        np.concatenate([np.zeros(0, np.int64), *times]),
+        {path: _join(path, [part.columns.pop(path) for part in parts]) for path in list(paths)},
+        sum(part.batches for part in parts),
+    )
 
 
 def _join(path: str, columns: Sequence[Column]) -> Column:
