@@ -38,7 +38,7 @@ _READING_ERROR = 1e-5
 
 ComplexArray = npt.NDArray[np.complex128]
 
-_AT_ONCE = 2**15
+_AT_ONCE = 2**16
 """Measurements of which all there is to know fits the processor's cache."""
 
 _TAPS = 2 * REACH
@@ -192,14 +192,20 @@ def take_apart(table: LikelihoodTable) -> ConvolutionTable:
     coefficients = table.coefficients
     n_ranges, n_directions, k = coefficients.shape
     flat = coefficients.reshape(n_ranges, -1)
-    tall, values, wide = np.linalg.svd(flat.T, full_matrices=False)
-    rank = _rank(flat, tall * values, wide)
+    # Where larger errors are allowed, components need not fit as closely.
+    growth = error_growth(flat[None])[0]
+    by_range = np.exp(np.log(growth).mean(axis=1))
+    by_view = np.exp(np.log(growth / by_range[:, None]).mean(axis=0))
+    tall, values, wide = np.linalg.svd((flat / by_range[:, None] / by_view).T, full_matrices=False)
+    tall *= by_view[:, None]
+    wide *= by_range
+    rank = _rank(flat, tall * values, wide, _LEFT_OUT * growth)
     curves = (tall[:, :rank] * values[:rank]).reshape(n_directions, k, rank)
     # Sums begin this many nodes before direction 0.
     curves = np.roll(curves, (n_directions + 1) // 2 + REACH - 1, axis=0)
     spectra = np.conj(rfft(curves.reshape(table.bins, -1, k, rank), axis=0))
     # Between two readings a curve of bend b strays from the straight line by b / 8.
-    bend = np.abs(np.diff(flat, 2, axis=0)) / error_growth(flat[None])[0, 1:-1]
+    bend = np.abs(np.diff(flat, 2, axis=0)) / growth[1:-1]
     finer = max(1, int(np.ceil(np.sqrt(bend.max() / (8.0 * _READING_ERROR)))))
     fine = np.arange(-1, (n_ranges - 2 * REACH) * finer + 3) / finer + REACH
     below, weights = quintic_weights(fine)
@@ -229,9 +235,8 @@ def _real_matrices(matrices: ComplexArray) -> FloatArray:
     return real.reshape(count, 2 * rows, 2 * columns)
 
 
-def _rank(flat: FloatArray, tall: FloatArray, wide: FloatArray) -> int:
+def _rank(flat: FloatArray, tall: FloatArray, wide: FloatArray, allowed: FloatArray) -> int:
     """How many components reproduce every row well enough."""
-    allowed = _LEFT_OUT * error_growth(flat[None])[0]
     rest = flat - tall[:, :1].T * wide[:1].T
     for rank in range(1, len(wide)):
         if np.all(np.abs(rest) <= allowed):

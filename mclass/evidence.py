@@ -32,8 +32,8 @@ _SPREADS = (0.0, 0.08, 0.15, 0.22, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0)
 _PAIRS_AT_ONCE = 2**13
 """Pairs that are evaluated together: all there is to know of them fits the processor's cache."""
 
-_CONVOLVED_AT_ONCE = 2**16
-_TRANSFORMED_AT_ONCE = 2**19
+_CONVOLVED_AT_ONCE = 2**17
+_TRANSFORMED_AT_ONCE = 2**20
 _SPECTRA_AT_ONCE = 2**17
 """Pairs, numbers to be transformed, and numbers added for each pair, for the same reason."""
 

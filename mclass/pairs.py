@@ -35,10 +35,10 @@ class Pairs:
         kept = np.flatnonzero(mask)
         return Pairs(
             starts=np.searchsorted(kept, self.starts),
-            looks=self.looks[kept],
-            ranges=self.ranges[kept],
-            directions=self.directions[kept],
-            scale=None if self.scale is None else self.scale[kept],
+            looks=self.looks.take(kept),
+            ranges=self.ranges.take(kept),
+            directions=self.directions.take(kept),
+            scale=None if self.scale is None else self.scale.take(kept),
         )
 
     def within(self, rows: slice) -> Pairs:
