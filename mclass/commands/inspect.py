@@ -119,7 +119,7 @@ def inspect_objects(
         past = output.history() if history else None
         damage = output.reader.damage.losses
     if plot_path is not None:
-        from mclass.plot.maps import objects_figure
+        from mclass.plot.objects import objects_figure
         from mclass.plot.style import save_figure
 
         save_figure(objects_figure(objects, names, frame), plot_path)

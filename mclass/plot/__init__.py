@@ -14,7 +14,8 @@ except ImportError as error:
 from mclass.plot.course import log_figure
 from mclass.plot.evaluation import evaluation_figure
 from mclass.plot.likelihood import likelihood_figure
-from mclass.plot.maps import map_figure, objects_figure, ray_segments
+from mclass.plot.maps import map_figure, ray_segments
+from mclass.plot.objects import objects_figure
 from mclass.plot.orientation import cell_figure, orientation_figure
 from mclass.plot.style import figure_format, save_figure
 
