@@ -16,7 +16,7 @@ from mclass.pairs import Pairs
 from mclass.parallel import ordered_map
 from mclass.records import FloatArray, IntArray
 
-_PAIRS_AT_ONCE = 2**18
+_PAIRS_AT_ONCE = 2**17
 """Cells times looks that are worked on at once."""
 
 _ROUNDS = 4

@@ -15,11 +15,16 @@ _AHEAD = 2
 """Results a thread may be ahead of the one taken: memory stays bounded."""
 
 
+_ENOUGH = 8
+"""Each thread holds a dozen megabytes of its own."""
+
+
 def available_threads() -> int:
-    """Processors that this process may use."""
+    """Processors that this process may use, but not so many that memory grows."""
+    count = os.cpu_count() or 1
     if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        count = len(os.sched_getaffinity(0))
+    return min(count, _ENOUGH)
 
 
 def ordered_map(

@@ -62,7 +62,8 @@ if TYPE_CHECKING:
     "--threads",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Threads for the grid; results are the same for any number.  [default: all cores]",
+    help="Threads for the grid; results are the same for any number.  "
+    "[default: one for each core, up to 8]",
 )
 @format_option
 @plot_option
