@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import dataclass
 
 from mcap.records import AttachmentIndex
 
 from mclass.logs.source import Source
 from mclass.logs.wire import RECORD_HEAD, parse_attachment_head
+
+
+@dataclass(frozen=True)
+class AttachmentInfo:
+    """An attachment without its data. ``size`` in bytes, ``log_time_ns`` in nanoseconds."""
+
+    name: str
+    media_type: str
+    size: int
+    log_time_ns: int
 
 
 def read_attachment_head(source: Source, position: int) -> tuple[AttachmentIndex, int]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass, field
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -127,6 +127,23 @@ class ChunkContent:
         """Messages of each channel."""
         channels, counts = np.unique(self.heads["channel"], return_counts=True)
         return dict(zip(channels.tolist(), counts.tolist(), strict=True))
+
+    def rows_by_channel(self, wanted: Set[int]) -> Iterator[tuple[int, IntArray]]:
+        """Rows of each wanted channel; the channel whose first row comes first, first."""
+        channels = self.heads["channel"]
+        present, firsts = np.unique(channels, return_index=True)
+        for channel_id in present[np.argsort(firsts)].tolist():
+            if channel_id in wanted:
+                yield channel_id, np.flatnonzero(channels == channel_id)
+
+
+@dataclass(frozen=True)
+class CompressionUse:
+    """Chunks of one compression: how many, and their bytes packed and unpacked."""
+
+    chunks: int
+    compressed_size: int
+    uncompressed_size: int
 
 
 class ChunkLostError(Exception):

@@ -5,19 +5,19 @@ All that can be used is used; ``LogReader.damage`` counts what could not be, in 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import TracebackType
 
 import numpy as np
 
 from mclass.errors import LogError
-from mclass.logs.attachments import is_intact, read_attachment
+from mclass.logs.attachments import AttachmentInfo, is_intact, read_attachment
 from mclass.logs.channels import ChannelInfo, MessageBatch
 from mclass.logs.chunks import (
     ChunkContent,
     ChunkEntry,
     ChunkLostError,
+    CompressionUse,
     IndexLiesError,
     Kind,
     read_chunk,
@@ -37,31 +37,12 @@ from mclass.logs.wire import (
     parse_metadata,
 )
 from mclass.places import PlaceLike, Url, place_of
-from mclass.records import BoolArray, IntArray
+from mclass.records import BoolArray
 
 _LATEST = (1 << 63) - 1
 _TIMES_LIE = "chunks were chosen by the times they state, and this one's are wrong"
 _MAY_MISS = "chunks state wrong times, so that reading a part of the time can miss messages"
 _MESSAGE_FIELDS = MESSAGE_HEAD - RECORD_HEAD
-
-
-@dataclass(frozen=True)
-class AttachmentInfo:
-    """An attachment without its data. ``size`` in bytes, ``log_time_ns`` in nanoseconds."""
-
-    name: str
-    media_type: str
-    size: int
-    log_time_ns: int
-
-
-@dataclass(frozen=True)
-class CompressionUse:
-    """Chunks of one compression: how many, and their bytes packed and unpacked."""
-
-    chunks: int
-    compressed_size: int
-    uncompressed_size: int
 
 
 class LogReader:
@@ -272,7 +253,7 @@ class LogReader:
             foreign = redefinitions.foreign(entry, content)
             if foreign is not None:
                 within &= ~foreign
-            for channel_id, rows in _rows_by_channel(content, wanted):
+            for channel_id, rows in content.rows_by_channel(wanted):
                 first = seen[channel_id]
                 seen[channel_id] += len(rows)
                 # Times need not increase; a batch without gap keeps the numbering right.
@@ -400,15 +381,6 @@ def open_log_source(path: PlaceLike) -> Source:
     """
     place = place_of(path)
     return open_remote(place) if isinstance(place, Url) else open_source(place)
-
-
-def _rows_by_channel(content: ChunkContent, wanted: Set[int]) -> Iterator[tuple[int, IntArray]]:
-    """Rows of each wanted channel in a chunk; the channel whose first row comes first, first."""
-    channels = content.heads["channel"]
-    present, firsts = np.unique(channels, return_index=True)
-    for channel_id in present[np.argsort(firsts)].tolist():
-        if channel_id in wanted:
-            yield channel_id, np.flatnonzero(channels == channel_id)
 
 
 def _runs(within: BoolArray) -> Iterator[tuple[int, int]]:
