@@ -18,7 +18,6 @@ rounding of the former show in the latter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
 
@@ -27,6 +26,7 @@ import numpy.typing as npt
 from numpy.fft import irfft, rfft
 from scipy.sparse import csc_array, csr_array
 
+from mclass.blockwise import blocks
 from mclass.records import FloatArray, IntArray
 from mclass.table import REACH, LikelihoodTable, error_growth, quintic_weights
 
@@ -39,7 +39,7 @@ _READING_ERROR = 1e-5
 ComplexArray = npt.NDArray[np.complex128]
 
 _AT_ONCE = 2**16
-"""Measurements of which all there is to know fits the processor's cache."""
+"""Measurements that are read and deposited together: fewer take longer, more hold more memory."""
 
 _TAPS = 2 * REACH
 _FROM_POWERS = (
@@ -117,7 +117,7 @@ class ConvolutionTable:
             (
                 _deposit(first[part], place[part], rows * width)
                 @ self._shares_at(ranges[part], None if scale is None else scale[part])
-                for part in _parts(len(ranges))
+                for part in blocks(len(ranges), _AT_ONCE)
             ),
         ).reshape(rows, width, -1)
         # What lies beyond half a turn continues at its other end.
@@ -179,12 +179,6 @@ def _following(first: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.int32
     for step in range(count):
         np.add(first, step, out=numbers[:, step])
     return numbers.ravel()
-
-
-def _parts(count: int) -> Iterator[slice]:
-    """So many measurements that all there is to know of them fits the processor's cache."""
-    for start in range(0, count, _AT_ONCE):
-        yield slice(start, start + _AT_ONCE)
 
 
 def take_apart(table: LikelihoodTable) -> ConvolutionTable:

@@ -20,6 +20,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.sparse import coo_array
 
+from mclass.blockwise import blocks
 from mclass.records import BoolArray, FloatArray, IntArray
 from mclass.table import REACH, quintic_weights
 
@@ -52,8 +53,7 @@ def shared_votes(
     """
     weights = np.zeros(looked.shape)
     step = int(np.clip(_LOOKS_AT_ONCE // max(1, looked.shape[1]), 1, _CELLS_AT_ONCE))
-    for start in range(0, len(looked), step):
-        part = slice(start, start + step)
+    for part in blocks(len(looked), step):
         mask = looked[part]
         cell, _ = np.nonzero(mask)
         if len(cell):
@@ -78,7 +78,7 @@ def _weights(
         # Whole nodes to a quarter turn: worlds are often turned by that.
         n_directions=4 * max(_TAPS, int(np.ceil(np.pi / 2.0 * _NODES_PER_WIDTH / direction_width))),
     )
-    parts = [slice(i, i + _LOOKS_AT_ONCE) for i in range(0, len(cells), _LOOKS_AT_ONCE)]
+    parts = list(blocks(len(cells), _LOOKS_AT_ONCE))
 
     def spreads() -> Iterator[coo_array]:
         for part in parts:

@@ -17,6 +17,7 @@ from threading import Lock
 import numpy as np
 from numpy.fft import irfft
 
+from mclass.blockwise import blocks
 from mclass.convolution import ConvolutionTable, at_bins, take_apart
 from mclass.footprint import Pointing
 from mclass.observation import Term, has_bearing
@@ -35,7 +36,8 @@ _PAIRS_AT_ONCE = 2**13
 _CONVOLVED_AT_ONCE = 2**17
 _TRANSFORMED_AT_ONCE = 2**20
 _SPECTRA_AT_ONCE = 2**17
-"""Pairs, numbers to be transformed, and numbers added for each pair, for the same reason."""
+"""Pairs, numbers to be transformed, and numbers added for each pair: fewer at once take longer,
+more hold more memory."""
 
 
 @dataclass(frozen=True)
@@ -188,8 +190,7 @@ class Engine:
         total = np.zeros((rows, len(term.classes), self.bins))
         orientations = 2.0 * np.pi * np.arange(self.bins) / self.bins
         owners = np.repeat(np.arange(rows), pairs.counts)
-        for start in range(0, len(owners), _PAIRS_AT_ONCE):
-            part = slice(start, start + _PAIRS_AT_ONCE)
+        for part in blocks(len(owners), _PAIRS_AT_ONCE):
             aspects = pairs.directions[part, None] - orientations
             views = np.stack([np.cos(aspects), np.sin(aspects)], axis=-1)
             views *= pairs.ranges[part, None, None]

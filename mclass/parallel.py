@@ -14,7 +14,6 @@ Result = TypeVar("Result")
 _AHEAD = 2
 """Results a thread may be ahead of the one taken: memory stays bounded."""
 
-
 _ENOUGH = 8
 """Each thread holds a dozen megabytes of its own."""
 

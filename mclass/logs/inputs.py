@@ -134,7 +134,6 @@ class InputReader:
                 parts.append(read_annotations(table))
             else:
                 parts.append(read_detections(table, source.fields))
-            del table
             self.tables.forget(source.channel.id)
             self.notes.append(f"detections: {source.channel.topic} ({source.kind})")
         for other in self.sources.other_detections:
