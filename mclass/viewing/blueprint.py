@@ -10,7 +10,7 @@ from mclass.classes import BACKGROUND
 from mclass.outputs.names import display_text
 from mclass.records import FloatArray
 from mclass.viewing.contents import Contents
-from mclass.viewing.recording import (
+from mclass.viewing.entities import (
     ABOUT,
     DETECTIONS,
     EVERYTHING,

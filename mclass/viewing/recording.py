@@ -8,66 +8,24 @@ was returned. The time line is that of the header stamps.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from mclass.classes import BACKGROUND
-from mclass.geometry import opening_angles
 from mclass.outputs.colors import BACKGROUND_COLOR, CLASS_COLORS
-from mclass.outputs.names import TopicTokens, display_text
+from mclass.outputs.names import display_text
 from mclass.outputs.raster import pack_cells
 from mclass.outputs.scene import ObjectScene, arrow_length, object_scene
-from mclass.records import FloatArray, IntArray
+from mclass.records import FloatArray
 from mclass.results import ClassMaps
 from mclass.viewing.contents import BINS, Contents, ObjectContents
+from mclass.viewing.entities import ABOUT, EVERYTHING, LIFT, MAP, TIMELINE, Paths, lifted, times
+from mclass.viewing.measured import record_detections, record_track
 
-TIMELINE = "stamp"
-MAP = "world/map"
-DETECTIONS = "world/detections"
-LABELS = "detections/labels"
-ABOUT = "about"
-EVERYTHING = "all"
-"""Name of the map of all classes."""
-
-_TRACK_COLOR = (0x00, 0x72, 0xB2)
-_RAY_COLOR = (0x00, 0x9E, 0x73)
-_BEFORE_COLOR = (0xA8, 0xD8, 0xC8)
 _PAPER = (0xFF, 0xFF, 0xFF)
-_MOST_RAYS = 40
-_LIFT = 0.02
-"""How far each layer lies above the one below, in arrow lengths: layers in one plane flicker."""
-
-
-@dataclass(frozen=True)
-class Paths:
-    """Names of entities that depend on names in the log.
-
-    Attributes:
-        objects: Path part by object id.
-        classes: Path part of each class.
-    """
-
-    objects: Mapping[str, str]
-    classes: tuple[str, ...]
-
-    @classmethod
-    def of(cls, contents: Contents) -> Paths:
-        """Distinct parts for all names, which may be any text."""
-        objects, classes = TopicTokens(), TopicTokens()
-        # Taken, so that a class of this name becomes another.
-        classes.token(EVERYTHING)
-        classes.token(BACKGROUND)
-        return cls(
-            {object_id: objects.token(object_id) for object_id in contents.objects},
-            tuple(
-                classes.token(f"class {name}" if name == EVERYTHING else name)
-                for name in contents.class_names
-            ),
-        )
 
 
 def record(recording: rr.RecordingStream, contents: Contents) -> None:
@@ -87,8 +45,8 @@ def record(recording: rr.RecordingStream, contents: Contents) -> None:
     )
     for shown in contents.maps:
         _map(recording, contents, paths, shown)
-    _track(recording, contents, size)
-    _detections(recording, contents, size)
+    record_track(recording, contents, size)
+    record_detections(recording, contents, size)
     for object_id, one in contents.objects.items():
         _object(recording, contents, paths, object_id, one, size)
         _belief(recording, contents, paths, object_id, one, size)
@@ -107,12 +65,6 @@ def about_text(contents: Contents) -> str:
     lines += ["the paler the lighter the mode. Curves around an object are P(class) times"]
     lines += ["the orientation density given the class, by direction. All times are header stamps."]
     return "\n".join(lines)
-
-
-def times(stamps_ns: IntArray | Sequence[int]) -> rr.TimeColumn:
-    """The time line at some stamps [ns]."""
-    stamps = np.asarray(stamps_ns, dtype=np.int64).astype("datetime64[ns]")
-    return rr.TimeColumn(TIMELINE, timestamp=stamps)
 
 
 def _map(recording: rr.RecordingStream, contents: Contents, paths: Paths, shown: ClassMaps) -> None:
@@ -150,102 +102,6 @@ def _map(recording: rr.RecordingStream, contents: Contents, paths: Paths, shown:
         recording.log(f"{MAP}/{part}", grey)
 
 
-def _track(recording: rr.RecordingStream, contents: Contents, size: float) -> None:
-    """The way as a line, and an arrow that moves along it."""
-    track = contents.track
-    if not len(track.stamps_ns):
-        return
-    places = _lifted(track.poses_world_child[:, :2] - contents.origin, 2.0 * _LIFT * size)
-    line = rr.LineStrips3D([places], colors=[_TRACK_COLOR], radii=rr.Radius.ui_points(1.2))
-    recording.log("world/track", line, static=True)
-    headings = track.poses_world_child[:, 2]
-    vectors = np.stack([np.cos(headings), np.sin(headings), np.zeros(len(headings))], axis=1)
-    recording.log(
-        "world/robot",
-        rr.Arrows3D.from_fields(
-            colors=[_TRACK_COLOR],
-            radii=[0.06 * size],
-            labels=[display_text(track.child_frame or "robot")],
-            show_labels=False,
-        ),
-        static=True,
-    )
-    recording.send_columns(
-        "world/robot",
-        indexes=[times(track.stamps_ns)],
-        columns=rr.Arrows3D.columns(origins=places, vectors=0.7 * size * vectors),
-    )
-
-
-def _detections(recording: rr.RecordingStream, contents: Contents, size: float) -> None:
-    """Where detections point: those of the present frame, and faintly those before it."""
-    found = contents.measurements
-    frames = found.frames
-    count = len(frames)
-    if not count:
-        return
-    outlines, located = _outlines(contents, 3.0 * _LIFT * size)
-    labels = [", ".join(map(display_text, found.label_names_of(row))) for row in range(len(found))]
-    owners = [*map(display_text, found.object_ids), ""]
-    rows_of_frame = np.bincount(found.frame_index[located], minlength=count)
-    recording.log(
-        f"{DETECTIONS}/now",
-        rr.LineStrips3D.from_fields(
-            colors=[_RAY_COLOR], radii=rr.Radius.ui_points(1.5), show_labels=False
-        ),
-        static=True,
-    )
-    recording.send_columns(
-        f"{DETECTIONS}/now",
-        indexes=[times(frames.stamps_ns)],
-        columns=rr.LineStrips3D.columns(
-            strips=outlines, labels=[labels[row] for row in located]
-        ).partition(rows_of_frame),
-    )
-    if len(located):
-        chosen = np.arange(len(located))
-        if len(located) > _MOST_RAYS:
-            chosen = np.linspace(0, len(located) - 1, _MOST_RAYS).round().astype(int)
-        stamps, counts = np.unique(found.stamps_ns[located[chosen]], return_counts=True)
-        recording.log(
-            f"{DETECTIONS}/before",
-            rr.LineStrips3D.from_fields(colors=[_BEFORE_COLOR], radii=rr.Radius.ui_points(0.6)),
-            static=True,
-        )
-        recording.send_columns(
-            f"{DETECTIONS}/before",
-            indexes=[times(stamps)],
-            columns=rr.LineStrips3D.columns(strips=[outlines[k] for k in chosen]).partition(counts),
-        )
-    if len(found):
-        texts = [
-            f"{owners[owner]}: {text}" if owners[owner] else text
-            for owner, text in zip(found.object_index.tolist(), labels, strict=True)
-        ]
-        recording.send_columns(
-            LABELS, indexes=[times(found.stamps_ns)], columns=rr.TextLog.columns(text=texts)
-        )
-
-
-def _outlines(contents: Contents, height: float) -> tuple[list[FloatArray], IntArray]:
-    """A strip for each detection with a direction, and the rows of these.
-
-    A ray is a line; a cone is its two edges with the sensor between them.
-    """
-    found = contents.measurements
-    located = np.flatnonzero(np.isfinite(found.directions).all(axis=1))
-    starts = found.frames.poses_world_sensor[found.frame_index[located], :2] - contents.origin
-    right, width = found.directions[located, 0], opening_angles(found.directions[located])
-    as_ray = (width == 0.0) | (contents.grid.footprint == "ray")
-    edges = np.stack([right, right + width], axis=1)
-    edges[as_ray] = (right + 0.5 * width)[as_ray, None]
-    ends = starts[:, None] + contents.grid.max_range * np.stack(
-        [np.cos(edges), np.sin(edges)], axis=-1
-    )
-    cones = _lifted(np.stack([ends[:, 0], starts, ends[:, 1]], axis=1), height)
-    return [strip[1:] if ray else strip for strip, ray in zip(cones, as_ray, strict=True)], located
-
-
 def _object(
     recording: rr.RecordingStream,
     contents: Contents,
@@ -272,7 +128,7 @@ def _object(
         path,
         indexes=index,
         columns=rr.Boxes3D.columns(
-            centers=_lifted(places, 0.5 * side + 4.0 * _LIFT * size),
+            centers=lifted(places, 0.5 * side + 4.0 * LIFT * size),
             quaternions=[(0.0, 0.0, math.sin(t / 2.0), math.cos(t / 2.0)) for t in turns],
             colors=colors,
         ),
@@ -287,7 +143,7 @@ def _object(
         f"{path}/name",
         indexes=index,
         columns=rr.Points3D.columns(
-            positions=_lifted(places + np.array([0.0, 0.7 * size]), side + 5.0 * _LIFT * size),
+            positions=lifted(places + np.array([0.0, 0.7 * size]), side + 5.0 * LIFT * size),
             labels=[scene.text for scene in scenes],
         ),
     )
@@ -297,7 +153,7 @@ def _object(
         f"{path}/modes",
         indexes=index,
         columns=rr.Arrows3D.columns(
-            origins=np.repeat(_lifted(places, side + 5.0 * _LIFT * size), counts, axis=0),
+            origins=np.repeat(lifted(places, side + 5.0 * LIFT * size), counts, axis=0),
             vectors=size * _arrows(scenes),
             colors=[
                 _faded(color, opacity)
@@ -313,7 +169,7 @@ def _object(
             f"{path}/spread",
             indexes=index,
             columns=rr.Ellipsoids3D.columns(
-                centers=_lifted(places, 4.0 * _LIFT * size), half_sizes=flat, colors=colors
+                centers=lifted(places, 4.0 * LIFT * size), half_sizes=flat, colors=colors
             ),
         )
 
@@ -373,7 +229,7 @@ def _belief(
             )
         radii = size * (0.5 + 1.5 * np.append(density, density[:, :1], axis=1) / highest)
         place = estimate.position - contents.origin
-        roses = _lifted(place + radii[..., None] * circle, 5.0 * _LIFT * size)
+        roses = lifted(place + radii[..., None] * circle, 5.0 * LIFT * size)
         recording.log(
             f"world/objects/{paths.objects[object_id]}/rose",
             rr.LineStrips3D(list(roses), colors=colors, radii=rr.Radius.ui_points(1.5)),
@@ -384,11 +240,6 @@ def _arrows(scenes: Iterable[ObjectScene]) -> FloatArray:
     """Unit vectors of all scenes' modes, (k, 3)."""
     turns = np.array([turn for scene in scenes for turn, _ in scene.arrows])
     return np.stack([np.cos(turns), np.sin(turns), np.zeros(len(turns))], axis=-1)
-
-
-def _lifted(places: FloatArray, height: float) -> FloatArray:
-    """Points of the ground plane at a height, (..., 2) to (..., 3)."""
-    return np.concatenate([places, np.full((*places.shape[:-1], 1), height)], axis=-1)
 
 
 def _class_color(index: int) -> tuple[int, int, int]:
