@@ -22,7 +22,7 @@ def measurements() -> LabelMeasurements:
         object_ids=(),
         label_offsets=np.array([0, 1, 2, 4, 5, 6]),
         labels=np.array([1, 1, 0, 1, 0, 0]),
-        scores=np.array([0.9, 0.3, 0.5, 0.6, 0.9, 0.2]),
+        scores=np.array([0.9, 0.3, 0.5, 0.6, 0.9, 0.95]),
         label_names=("cup", "jug"),
     )
 
